@@ -23,6 +23,7 @@ from rig.face import mesh
 from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
 from rig.face.render.compiled import EMPTY, KERNELS, PLACES, THRESHOLDS, TILE, file_of
+from rig.face.render.shading import CLOTH_PORES, CLOTH_SHADE
 
 F, I4 = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
@@ -33,7 +34,8 @@ _DIM, _UNDER_LID = F(shading.DIM), F(shading.UNDER_LID)
 _CATCH, _LOW = shading.CATCH.astype(F), shading.LOW.astype(F)
 _CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
-N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
+N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
+_PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
 
 PROCESSOR = "skylake"
 """For whose vectors loops are written."""
@@ -512,17 +514,19 @@ def _paint(
         is_thin = (kind == _HAIR) | (kind >= _CLOTH)
         way = F(-1) if is_thin & (nx * vx + ny * vy + nz * vz < F(0)) else F(1)
         is_skin = F(1) if kind == _SKIN else F(0)
-        u, v, side = places[U + i] * F(PORES), places[V + i] * F(PORES), len(pores)
+        is_cloth = F(1) if kind == _CLOTH else F(0)
+        often, side = F(PORES) + is_cloth * F((CLOTH_PORES - 1) * PORES), len(pores)
+        u, v = places[U + i] * often, places[V + i] * often
         x = np.uint32(min(I4((u - np.floor(u)) * F(side)), I4(side - 1)))
         y = np.uint32(min(I4((v - np.floor(v)) * F(side)), I4(side - 1)))
         pore = pores[y, x]
-        rough = is_skin * (_byte(pore, 0) * F(1 / 127.5) - F(1))
+        grain = _byte(pore, 0) * F(1 / 127.5) - F(1)
         tilt = is_skin * _PORE_TILT
         places[NX + i] = way * nx + tilt * (_byte(pore, 1) * F(1 / 127.5) - F(1))
         places[NY + i] = way * ny + tilt * (_byte(pore, 2) * F(1 / 127.5) - F(1))
         places[NZ + i] = way * nz
-        places[GLOSS + i] *= F(1) + F(0.7) * rough
-        places[KEPT + i] = F(1) + F(0.16) * rough
+        places[GLOSS + i] *= F(1) + F(0.7) * is_skin * grain
+        places[KEPT + i] = F(1) + (_PORE_SHADE * is_skin + F(CLOTH_SHADE) * is_cloth) * grain
         places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)
         places[RIM + i] = F(0) if kind == _EYE else F(0.35)
         places[WINDOW + i] = F(0)
@@ -567,10 +571,13 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -
     """Reflections of a window, high and under a lid, and of the sky on a wet eye."""
     facing = F(2) * (nx * vx + ny * vy + nz * vz)
     x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
-    glow = _limited((x * _CATCH[0] + y * _CATCH[1] + z * _CATCH[2] - F(0.976)) / F(0.008))
-    low = _limited((x * _LOW[0] + y * _LOW[1] + z * _LOW[2] - F(0.980)) / F(0.008))
-    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.7) - accent))
-    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(3) * (accent - F(0.1)))
+    turn = -_WINDOW_TURN * vx
+    cx, cy, cz = _unit(_CATCH[0] + turn, _CATCH[1], _CATCH[2])
+    lx, ly, lz = _unit(_LOW[0] + turn, _LOW[1], _LOW[2])
+    glow = _limited((x * cx + y * cy + z * cz - F(0.976)) / F(0.008))
+    low = _limited((x * lx + y * ly + z * lz - F(0.980)) / F(0.008))
+    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.9) - accent))
+    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(6) * (accent - F(0.07)))
     return max(glow, low) + F(0.02) * _limited(y)
 
 
@@ -612,10 +619,10 @@ def _light(count: Any, places: Any) -> None:
             along = F(1) + dx * vx + dy * vy + dz * vz
             both = np.sqrt(max(F(2) * along, F(1e-6)))
             half = _limited((cosine + facing) / both)
-            half = half if cosine > F(0) else F(0)
             fall = (ny * (cosine + facing) - dy - vy) / (both * level)
             strand = max(F(1) - fall * fall, F(0)) * is_hair
-            gate = F(1) + is_hair * (_limited(F(0.3) + cosine) - F(1))
+            gate = _limited(F(5) * cosine)
+            gate += is_hair * (_limited(F(0.3) + cosine) - gate)
             half = max(strand, half * (F(1) - is_hair))
             shine = gate * half / (power - power * half + half) * strength * seen
             shine_r += shine * _COLOR[k, 0]

@@ -48,7 +48,6 @@ from deitalk.models.mesh_folder import (
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.models.protocol import NEEDED, check_product
-<<<<<<< HEAD
 from deitalk.models.weight_file import (
     Shapes,
     check_fit,
@@ -56,10 +55,7 @@ from deitalk.models.weight_file import (
     read_weights,
     without_random_numbers,
 )
-from deitalk.postprocess.known_phones import check_faces
-=======
 from deitalk.postprocess.lip_seal import check_faces
->>>>>>> w-speed
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder

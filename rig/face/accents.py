@@ -14,7 +14,7 @@ from rig.face.mesh import smoothstep
 REGIONS = ("forehead", "glabella", "eye", "nasolabial")
 LEAST = (0.02, 0.015, 0.04, 0.10)
 """Depth of each region at rest, the same on both sides."""
-SHADOW_RADIANS, SHADOW = 0.34, 0.85
+SHADOW_RADIANS, SHADOW = 0.42, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 
 MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 0.8, 2.4)

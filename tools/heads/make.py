@@ -91,7 +91,11 @@ class Joined:
             part = person.parts[name]
             _, same = np.unique(part.drawn, return_index=True)
             weld_of = first + same[np.searchsorted(part.drawn[same], part.drawn)]
-            self._add(name, part.points[part.drawn], part.faces + first, part.uv, weld_of, first)
+            places = part.uv
+            if PICTURE[name] == "brow":
+                low, high = pictures.brow_crop(person)
+                places = (places - low) / (high - low)
+            self._add(name, part.points[part.drawn], part.faces + first, places, weld_of, first)
             first += len(part.drawn)
         self.points, self.faces = np.concatenate(points), np.concatenate(faces)
         self.uv, self.weld = np.concatenate(uv), np.concatenate(weld)
@@ -300,11 +304,23 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     pictures.paint_beard(picture, base, person)
     gloss[slices["hair"]] = look["shine"]
     within = smooth(hair.high / 0.8)
+    gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])
+    for center, radius in person.eyes:  # the wet rims of lids
+        off = person.skin - center
+        rim = np.exp(-(((np.linalg.norm(off, axis=1) / radius - 1.03) / 0.04) ** 2))
+        wet = gloss[slices["skin"]] + 0.45 * rim * (off[:, 2] > 0.3 * radius)
+        gloss[slices["skin"]] = wet
     gloss[slices["skin"]] *= 1 - 0.8 * within  # roots shine less
+    gloss[slices["seam"]] = gloss[joined.weld[slices["seam"]]]
     light = _light(base, shapes, person, joined, picture)
+    x, y, z = shapes.average[: base.n_skin].T  # brows that rise take no shadow along
+    brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5)
+    brow *= smooth((z - 4) / 3) * smooth((6.5 - abs(x)) / 1.5)
+    light[slices["skin"]] += (0.65 * brow)[:, None] * (1 - light[slices["skin"]])
     if hair.is_long:  # no black gaps between locks
         skin = slices["skin"]
         light[skin] = np.maximum(light[skin], 0.45 * within[:, None])
+    light[slices["seam"]] = light[joined.weld[slices["seam"]]]
     near, weight, follows = [], [], []
     for part in ("lash_L", "lash_R", "brow_L", "brow_R"):
         p = person.parts[part]
@@ -389,7 +405,7 @@ def _light(base, shapes, person, joined, picture):
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
     least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
     light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
-    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.64, 0.16])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
@@ -410,7 +426,7 @@ def _light(base, shapes, person, joined, picture):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]
         gap = cKDTree(skin).query(x[own])[0]
-        light[own] = (0.40 + 0.60 * pictures._smooth((gap - 0.03) / 0.40))[:, None]
+        light[own] = (0.30 + 0.70 * pictures._smooth((gap - 0.03) / 0.50))[:, None]
     light[joined.slices["lash_L"].start : joined.slices["brow_R"].stop] = 1
     light[seam] = light[joined.weld[seam]]
     hair = joined.slices["hair"]  # cards have the light of those about them

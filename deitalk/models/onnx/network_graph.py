@@ -128,44 +128,6 @@ def causal_graph(model: DEITalk) -> DEITalk:
     return found
 
 
-<<<<<<< HEAD
-class CausalGraph(nn.Module):
-    """A causal curve model, the next G frames of B streams, from sound at the usual level.
-
-    The running level follows itself from frame to frame (`deitalk.audio.running_level`), for which
-    a graph would need a loop.
-
-    Parameters
-    ----------
-    model : DEITalk
-        With a causal frontend.
-    """
-
-    def __init__(self, model: DEITalk) -> None:
-        super().__init__()
-        self.model = causal_graph(model)
-
-    def forward(self, windows: Tensor, emotion: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Predict the next frames.
-
-        Parameters
-        ----------
-        windows : Tensor [shape=(B, G P, W)]
-            Samples of the spectra of the frames, at the usual level.
-        emotion : Tensor [shape=(B, G, 5 + actors)]
-            Weights of the styles.
-        state : Tensor
-            From the call before; see `first_states`. Of rings the new rows alone are returned.
-        """
-        before = TensorState.of((windows.new_zeros(0), *state), self.model)
-        speech, new = causal_frontend(self.model).read(windows, before.frontend)
-        rows, after = decode(self.model, speech, emotion, before._replace(frontend=new))
-        frames = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
-        return (*frames, *after.tensors()[1:])
-
-
-=======
->>>>>>> w-speed
 def first_states(model: DEITalk) -> dict[str, Tensor]:
     """Names and first values of a stream's state but its level, without the stream's axis."""
     state = first_state(model, 1)

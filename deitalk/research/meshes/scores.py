@@ -20,13 +20,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import MeshModel
-<<<<<<< HEAD
-from deitalk.postprocess.known_phones import seal_lips
-=======
-from deitalk.pipeline.curves import animate
-from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.lip_seal import seal_lips
->>>>>>> w-speed
 from deitalk.postprocess.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.research.meshes.emotion_scores import (
     acted_by_curves,

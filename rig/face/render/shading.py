@@ -62,10 +62,10 @@ LIGHTS = (
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.90, 0.82, 0.74], [0.42, 0.22, 0.15], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
-DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.38
+DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.46
 """Colour of the mouth where its shadow is 1; how much darker that shadow makes what it still shows,
 and that of lids the eye."""
 CREASE_TILT = 0.7
@@ -74,10 +74,15 @@ GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
 CATCH, LOW = unit(np.array([0.14, 0.48, 0.86])), unit(np.array([0.31, -0.14, 0.94]))
 """Where eyes reflect a window, and what of it is left in the shadow of a lowered lid."""
+WINDOW_TURN = 0.5
+"""How far the window goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.3
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT = 0.09
-"""How far pores tilt the normals of skin."""
+PORE_TILT, PORE_SHADE = 0.09, 0.08
+"""How far pores tilt the normals of skin, and how much they shade it."""
+CLOTH_PORES, CLOTH_SHADE = 6, 0.28
+"""How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
+how much they shade it as a fabric's grain."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 SOLID = 0.75
 """Coverage above which hair, brows and lashes are drawn solid on a graphics card."""
@@ -132,7 +137,7 @@ void lamp(vec3 d, vec3 c, float seen) {{
   vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
   diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.3, 0.12, 0.0));
   float both = sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), near = clamp((k + facing) / both, 0.0, 1.0);
-  float gate = k > 0.0 ? 1.0 : 0.0;
+  float gate = clamp(5.0 * k, 0.0, 1.0);
   if (kind == {HAIR}) {{  // a lamp shines across strands, which hang down along the surface
     float fall = (n.y * (k + facing) - d.y - v.y) / (both * sqrt(max(1.0 - n.y * n.y, 0.05)));
     near = max(1.0 - fall * fall, 0.0); gate = clamp(0.3 + k, 0.0, 1.0);
@@ -151,9 +156,11 @@ void main() {{
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
-    shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
+    shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
     shade *= 1.0 - crease * (1.0 - fold.a);
+  }} else if (kind == {CLOTH}) {{
+    shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
   else if (kind == {EYE})
     albedo *= (1.0 - {UNDER_LID} * accent_) * (1.0 + {IRIS} * (1.0 - albedo));
@@ -170,10 +177,11 @@ void main() {{
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
-    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, {_vec(CATCH)}));
-    glow *= clamp(4.0 * (0.7 - accent_), 0.0, 1.0);
-    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, {_vec(LOW)}));
-    low *= clamp(3.0 * (accent_ - 0.1), 0.0, 1.0);
+    vec3 turn = vec3(-{WINDOW_TURN} * v.x, 0.0, 0.0);
+    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, normalize({_vec(CATCH)} + turn)));
+    glow *= clamp(4.0 * (0.9 - accent_), 0.0, 1.0);
+    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, normalize({_vec(LOW)} + turn)));
+    low *= clamp(6.0 * (accent_ - 0.07), 0.0, 1.0);
     shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
