@@ -43,6 +43,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -374,7 +375,8 @@ def read_clips(path: Path, kind: str, split: str, most: int) -> list[StrengthCli
 def with_wanted(columns: Columns) -> Columns:
     """Columns after one that says what a row should be."""
     names = dict.fromkeys(name for rows in columns.values() for name in rows)
-    return {"at least": {name: WANTED.get(name, "") for name in names}, **columns}  # type: ignore[dict-item]
+    wanted: Any = {name: WANTED.get(name, "") for name in names}
+    return {"at least": wanted, **columns}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
