@@ -138,9 +138,12 @@ def skin(base, person):
     share = known * (1 - drawn) * (1 - 0.97 * brows) * (over_line(place, look) < 0.5) + 1e-4
     plain = gaussian_filter(colour * share[..., None], (40, 40, 0))
     plain = plain / gaussian_filter(share, 40)[..., None]
-    fine = colour - gaussian_filter(colour, (9, 9, 0))
+    fine = colour - gaussian_filter(colour, (26, 26, 0))
+    fine += 0.45 * (colour - gaussian_filter(colour, (9, 9, 0)))
     fine *= smooth((place[..., 1:2] + 9) / 2)  # the picture of the neck is drawn out
-    colour = plain + drawn[..., None] * (colour - plain) + (0.2 + 0.25 * drawn[..., None]) * fine
+    fine *= 1 - 0.9 * brows[..., None]
+    kept = drawn[..., None]
+    colour = plain + kept * (colour - plain) + (0.9 * (1 - kept) + 0.45 * kept) * fine
     for *where, tint in ZONES:
         share = look["flush"] * _zone(place, *where) * (1 - lips)
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
@@ -153,7 +156,7 @@ def skin(base, person):
     colour = colour * (1 - share) + red * lines[..., None] * share
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in
-                 ((0.018, 0.04, 1), (0.014, 0.08, 2), (0.012, 0.2, 3), (0.014, 0.8, 4)))  # fmt: skip
+                 ((0.026, 0.03, 1), (0.022, 0.07, 2), (0.016, 0.2, 3), (0.016, 0.8, 4)))  # fmt: skip
     blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
     spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
@@ -431,7 +434,7 @@ def creases(points, faces, uv, uv_faces, marks):
     along_y = (_grooves(far, high + step, marks) - height) / step
     tilt = np.stack([-along_x * np.sign(at[..., 0]), -along_y, 0 * far], -1)
     tilt *= 0.9 / np.maximum(np.linalg.norm(tilt, axis=-1, keepdims=True), 0.9)
-    shade = 1 - 0.34 * np.clip(-height / 0.11, 0, 1)
+    shade = 1 - 0.42 * np.clip(-height / 0.11, 0, 1)
     coded = np.concatenate([127.5 * (1 + tilt), 255 * shade[..., None]], -1)
     coded[~known | (deep < marks["deep"])] = (127.5, 127.5, 127.5, 255)
     return np.round(coded).astype(np.uint8)

@@ -121,7 +121,7 @@ SYLLABLE_SECONDS = 0.06
 """Sigma of the Gaussian that smooths level and pitch: less than a syllable."""
 ACCENT_DISTANCE = 16
 """Least frames from accent to accent, 0.5 s: brows that rise twice within it rise once."""
-ACCENTS_PER_SECOND = 0.5
+ACCENTS_PER_SECOND = 0.47
 """Most accents of speech: those of the syllables that stand out most."""
 ACCENT_WEIGHTS = (0.35, 0.7, 1.4)
 """Of level, pitch and sonority; smoothed over a syllable, the latter two are higher in long ones.
@@ -129,8 +129,8 @@ A syllable's being chosen so correlates by .5 with the sum of its energy, pitch 
 independently (``python -m deitalk.research.evaluation.motion_rows``); as many syllables chosen by
 that sum itself do by .58. The numbers were chosen on the readers of two corpora that the strength
 of the voice was trained on."""
-MOST_DEVIATION = 2.0
-"""Limit of the deviation of each, standard deviations: a pitch further away is a wrong octave."""
+MOST_DEVIATION = 3.0
+"""Limit of the deviation of each, standard deviations."""
 SONORITY_SPREAD_DB = 7.0
 """Standard deviation of the sonority of speech."""
 USUAL_SPREAD, LEAST_SPREAD = 0.72, 0.4

@@ -68,7 +68,7 @@ WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.8, 0.76, 0.72], [0.
 DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.46
 """Colour of the mouth where its shadow is 1; how much darker that shadow makes what it still shows,
 and that of lids the eye."""
-CREASE_TILT = 0.7
+CREASE_TILT = 0.85
 """How far creases tilt normals, of what their map says."""
 GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
@@ -78,7 +78,7 @@ WINDOW_TURN = 0.5
 """How far the window goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.3
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE = 0.09, 0.08
+PORE_TILT, PORE_SHADE = 0.09, 0.15
 """How far pores tilt the normals of skin, and how much they shade it."""
 CLOTH_PORES, CLOTH_SHADE = 6, 0.28
 """How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
