@@ -53,6 +53,8 @@ GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
+TONGUE = (1.0, 0.82, 0.80)
+"""Colour of the tongue over its picture."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -298,6 +300,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         own = person.parts[part]
         colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.6, 1.2, 1.25]  # by cheeks
         gloss[slices[part]] *= front
+    colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     colour[slices["hair"]] = person.parts["hair"].tone[:, None]
     pictures.paint_scalp(picture, base, person)
@@ -364,7 +367,7 @@ def _blink(base, shapes, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.7 * pictures._smooth((np.abs(points[:, 0]) - 1.3) / 1.5)
+    return 1 - 0.6 * pictures._smooth((np.abs(points[:, 0]) - 1.2) / 1.8)
 
 
 def _corner_light(shapes, person):
