@@ -21,7 +21,7 @@ MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 1.2, 4.2)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
 how far behind the lip it begins to fade, and over what way it goes, cm."""
-LIPS = (0.1, 0.6)
+LIPS = (0.0, 0.45)
 """How far behind the upper lip at the same x the shadow on skin begins, and over what way it is
 whole, cm."""
 
