@@ -298,7 +298,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
         own = person.parts[part]
-        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.6, 1.2, 1.25]  # by cheeks
+        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255

@@ -29,7 +29,7 @@ _GUM = 0.05
 _TEETH = {
     "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.31, 0, 0.05), (1, 0.30, 0.03, 0.03),
               (1, 0.22, 0.03, 0.03), (1, 0.1, 0, 0)],
-    "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (0.97, 0.07, 0.02, 0.04), (1, -0.03, 0.03, 0.03),
+    "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (1.02, 0.07, 0, 0.03), (1, -0.03, 0.03, 0.03),
               (1, -0.14, 0, 0), (1, -0.22, 0, 0), (1, -0.3, 0, 0), (1, -0.3, 0, 0)],
 }  # fmt: skip
 """Teeth from the middle outwards: share of the width, added length, how far the corners of the edge
@@ -38,9 +38,9 @@ _SQUARE = 0.14
 """How far the corners of all edges are filled first, cm: rows have no holes between teeth."""
 _MIDLINE = 0.018
 """How far both halves of a row go to the middle, cm."""
-_ENAMEL = {"upper": (1.0, 0.95, 0.88), "lower": (0.9, 0.82, 0.74)}
+_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.9, 0.82, 0.74)}
 """Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
-_ASIDE = np.array([0.96, 0.93, 0.9])
+_ASIDE = np.array([0.96, 0.945, 0.925])
 """Colour of a tooth over that of the one before it, from the lateral incisors on."""
 
 

@@ -146,7 +146,7 @@ def skin(base, person):
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
     ears = (look["flush"] * is_ear(place))[..., None]
     colour = colour * (1 - ears * [0.0, 0.10, 0.09])
-    colour = _one_hue(colour, np.clip(3 * lips, 0, 1))
+    colour = _one_hue(colour, 0.7 * np.clip(3 * lips, 0, 1))
     red = gaussian_filter(colour * np.array(look["lip"]), (2, 2, 0))
     shape = colour.shape[:2]
     lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
