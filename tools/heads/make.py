@@ -298,7 +298,11 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
         own = person.parts[part]
-        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
+        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [
+            0.75,
+            0.95,
+            1.0,
+        ]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
@@ -408,8 +412,8 @@ def _light(base, shapes, person, joined, picture):
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
     least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
     light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
-    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.64, 0.16])
-    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.72, 0.16])
+    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.13) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
