@@ -66,7 +66,7 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
 
 
 def _mouth(lip: AnyFloat, inside: AnyFloat) -> tuple[Float64, Float64]:
-    """Shadow (T, n) of points (T, n, 3) in the mouth, and how far, cm, they are behind the upper lip.
+    """Shadow (T, n) of points (T, n, 3) in the mouth; how far they are behind the upper lip, cm.
 
     The lip (T, P, 3) gives its front for the shadow, its place at the same x for the other.
     """
