@@ -17,12 +17,13 @@ LEAST = (0.02, 0.015, 0.04, 0.10)
 SHADOW_RADIANS, SHADOW = 0.42, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 
-MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 0.8, 2.4)
+MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.3, 0.9, 1.2, 4.2)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
 how far behind the lip it begins to fade, and over what way it goes, cm."""
-LIPS = (0.4, 0.8)
-"""How far behind the upper lip the shadow on skin begins, and over what way it is whole, cm."""
+LIPS = (0.0, 0.45)
+"""How far behind the upper lip at the same x the shadow on skin begins, and over what way it is
+whole, cm."""
 
 
 def crease_inputs(head: Head) -> list[int]:
@@ -43,8 +44,8 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
         lip = head.lip_columns(poses)[0]
         inside = head.teeth
         found[:, inside] = _mouth(lip, poses[:, inside])[0]
-        shadow, depth = _mouth(lip, poses[:, head.mouth])
-        skin[:, head.mouth] = -shadow * smoothstep((depth - LIPS[0]) / LIPS[1])
+        shadow, behind = _mouth(lip, poses[:, head.mouth])
+        skin[:, head.mouth] = -shadow * smoothstep((behind - LIPS[0]) / LIPS[1])
     found[:, head.slices["skin"]] = skin
     seam = head.slices["seam"]
     found[:, seam] = skin[:, head.mesh.weld[seam]]
@@ -65,13 +66,16 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
 
 
 def _mouth(lip: AnyFloat, inside: AnyFloat) -> tuple[Float64, Float64]:
-    """Shadow of points (T, n, 3) in the mouth, and their depth, cm, behind the upper lip (T, P, 3).
+    """Shadow (T, n) of points (T, n, 3) in the mouth; how far they are behind the upper lip, cm.
 
-    Both are (T, n).
+    The lip (T, P, 3) gives its front for the shadow, its place at the same x for the other.
     """
     rise, clear, soft, begin, fade = MOUTH_LIGHT
     x, y, z = np.moveaxis(inside, -1, 0)
-    edge = np.stack([np.interp(a, c[:, 0], c[:, 1]) for a, c in zip(x, lip, strict=True)])
+    edge, rim = (
+        np.stack([np.interp(a, c[:, 0], c[:, k]) for a, c in zip(x, lip, strict=True)])
+        for k in (1, 2)
+    )
     depth = lip[..., 2].max(1, keepdims=True) - z
     under = (clear - (edge - y - rise * depth)) / soft
-    return MOUTH_SHADOW * smoothstep(np.maximum(under, (depth - begin) / fade)), depth
+    return MOUTH_SHADOW * smoothstep(np.maximum(under, (depth - begin) / fade)), rim - z

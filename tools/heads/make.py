@@ -53,6 +53,8 @@ GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
+TONGUE = (1.0, 0.82, 0.80)
+"""Colour of the tongue over its picture."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -296,8 +298,13 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
         own = person.parts[part]
-        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.6, 1.2, 1.25]  # by cheeks
+        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [
+            0.75,
+            0.95,
+            1.0,
+        ]  # by cheeks
         gloss[slices[part]] *= front
+    colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     colour[slices["hair"]] = person.parts["hair"].tone[:, None]
     pictures.paint_scalp(picture, base, person)
@@ -364,7 +371,7 @@ def _blink(base, shapes, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.7 * pictures._smooth((np.abs(points[:, 0]) - 1.3) / 1.5)
+    return 1 - 0.6 * pictures._smooth((np.abs(points[:, 0]) - 1.2) / 1.8)
 
 
 def _corner_light(shapes, person):
@@ -405,8 +412,8 @@ def _light(base, shapes, person, joined, picture):
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
     least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
     light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
-    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.64, 0.16])
-    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.72, 0.16])
+    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.13) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)

@@ -27,12 +27,21 @@ where the lips meet, cm; small heads have more, for their lips move as far."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
-    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.10, 0.035, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
-              (1, 0.05, 0.04, 0.04)],
-    "lower": [(0.88, 0.12, 0.02, 0), (0.94, 0.12, 0.03, 0), (0.97, 0.13, 0.02, 0.1), (1, 0.07, 0.04, 0.05)],
+    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.31, 0, 0.05), (1, 0.30, 0.03, 0.03),
+              (1, 0.22, 0.03, 0.03), (1, 0.1, 0, 0)],
+    "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (1.02, 0.07, 0, 0.03), (1, -0.03, 0.03, 0.03),
+              (1, -0.14, 0, 0), (1, -0.22, 0, 0), (1, -0.3, 0, 0), (1, -0.3, 0, 0)],
 }  # fmt: skip
 """Teeth from the middle outwards: share of the width, added length, how far the corners of the edge
 are rounded and how far its middle is a point, cm; the others as they are."""
+_SQUARE = 0.14
+"""How far the corners of all edges are filled first, cm: rows have no holes between teeth."""
+_MIDLINE = 0.018
+"""How far both halves of a row go to the middle, cm."""
+_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.9, 0.82, 0.74)}
+"""Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
+_ASIDE = np.array([0.96, 0.945, 0.925])
+"""Colour of a tooth over that of the one before it, from the lateral incisors on."""
 
 
 @dataclass
@@ -138,14 +147,14 @@ class Person:
             own.sort(key=lambda ids: -points[ids, 2].max())
             ends = np.array([points[ids].mean(0) for ids in own])
             along = np.gradient(ends * [1, 0, 1], axis=0)
-            along[0], moved = [side, 0, -0.15], 0.0
+            along[0], moved = [side, 0, -0.15], _MIDLINE
             for k, ids in enumerate(own):
                 shape = _TEETH[row][k] if k < len(_TEETH[row]) else (1, 0, 0, 0)
                 tilt = rng.normal(0, [0.02, 0.03]) * (0 < k < 5)
                 points[ids], edge, narrower = _shaped(points[ids], along[k], sign, shape, tilt)
                 points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
                 moved += narrower
-                part.tone[ids] = _tone(edge, k)
+                part.tone[ids] = _tone(edge, k) * _ENAMEL[row] * _ASIDE ** max(k - 1, 0)
         gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
         points[gum, 2] -= _GUM
         palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
@@ -264,6 +273,7 @@ def _shaped(tooth, along, sign, shape, tilt):
     high = sign * (tooth[:, 1] - middle[1])
     edge = np.clip((high - high.min()) / np.ptp(high), 0, 1)
     corner = rounded * share**2 * np.where(across > 0, 1, 0.3)  # more away from the middle
+    corner -= _SQUARE * share**4
     grown = longer * edge - (corner + pointed * share) * edge**2
     tooth = tooth + np.outer(sign * grown, [0, 1, 0])
     turn = (width - 1) * across + tilt[0] * sign * high + tilt[1] * (tooth - middle)[:, 2]

@@ -149,6 +149,7 @@ def skin(base, person):
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
     ears = (look["flush"] * is_ear(place))[..., None]
     colour = colour * (1 - ears * [0.0, 0.10, 0.09])
+    colour = _one_hue(colour, 0.7 * np.clip(3 * lips, 0, 1))
     red = gaussian_filter(colour * np.array(look["lip"]), (2, 2, 0))
     shape = colour.shape[:2]
     lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
@@ -174,6 +175,15 @@ def skin(base, person):
             look.get("flesh", (0.80, 0.58, 0.54))
         )
     return np.clip(colour, 0, 1) ** look["gain"]
+
+
+def _one_hue(colour, share, width=24):
+    """Colours whose hue is that of `width` texels about them, by a share: lips have no red spots."""
+    weighed = np.dstack([colour * share[..., None], share])
+    mean = gaussian_filter(weighed, (width, width, 0))
+    mean = mean[..., :3] / (mean[..., 3:] + 1e-4)
+    grey = colour.mean(-1, keepdims=True) / (mean.mean(-1, keepdims=True) + 1e-4)
+    return colour + share[..., None] * (mean * grey - colour)
 
 
 def hair(look, side=1024):

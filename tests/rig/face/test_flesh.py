@@ -89,7 +89,7 @@ def test_no_tooth_comes_through_shut_lips(person, emotion):
     green = np.zeros((len(pose), 3))
     green[head.slices["teeth_upper"].start : head.slices["teeth_lower"].stop, 1] = 1
     plain = np.full(len(pose), PLAIN)
-    mesh = replace(head.bare, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
+    mesh = replace(head.mesh, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
     drawn = Renderer(mesh, (300, 250), VIEWS["mouth"]).render(pose).astype(int)
     assert (drawn[..., 1] > drawn[..., [0, 2]].max(-1) + 40).sum() <= 2  # green pixels
 

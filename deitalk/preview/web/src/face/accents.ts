@@ -42,11 +42,12 @@ export class Accents {
     const { facts, arrays } = this.head;
     const { teeth, mouthShadow, mouthLight, lips } = facts.accents;
     const [rise, clear, soft, begin, fade] = mouthLight;
-    const lip = this.rig.columns(0), x: number[] = [], y: number[] = [];
+    const lip = this.rig.columns(0), x: number[] = [], y: number[] = [], z: number[] = [];
     let front = -Infinity;
     for (let i = 0; i < lip.length; i += 3) {
       x.push(lip[i]);
       y.push(lip[i + 1]);
+      z.push(lip[i + 2]);
       front = Math.max(front, lip[i + 2]);
     }
     const { vertices } = this.rig;
@@ -57,7 +58,8 @@ export class Accents {
     };
     for (let v = teeth[0]; v < teeth[1]; v++) this.values[v] = shadow(v);
     arrays.mouth.forEach((v: number) => {
-      this.values[v] = -shadow(v) * smoothstep((depth(v) - lips[0]) / lips[1]);
+      const behind = between(x, z, vertices[3 * v]) - vertices[3 * v + 2];
+      this.values[v] = -shadow(v) * smoothstep((behind - lips[0]) / lips[1]);
     });
   }
 
