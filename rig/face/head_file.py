@@ -138,7 +138,6 @@ def opened(data: bytes, name: str) -> "Image.Image":
     FormatError
         If it is no picture, or too large.
     """
-    from PIL.Image import DecompressionBombError
     from PIL.WebPImagePlugin import WebPImageFile  # alone: Image.open imports other formats first
 
     try:
@@ -148,7 +147,7 @@ def opened(data: bytes, name: str) -> "Image.Image":
             image.load()
             mode = "RGB" if name == "pores" else "RGBA"
             return image if image.mode == mode else image.convert(mode)
-    except (OSError, ValueError, SyntaxError, DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         raise FormatError(f"a head's picture {name!r} cannot be read: {quoted(error)}") from None
 
 

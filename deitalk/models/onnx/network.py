@@ -138,7 +138,7 @@ def stored_weights(folder: Path) -> dict[str, np.ndarray]:
     Raises
     ------
     CheckpointError
-        If a file is damaged, or a value is not finite.
+        If a file is damaged, or a weight has another type than `TYPES`.
     """
     from safetensors import SafetensorError
 
@@ -169,9 +169,11 @@ def _mapped(path: Path) -> dict[str, np.ndarray]:
     entries: dict[str, Any] = json.loads(content[8 : 8 + size].tobytes())
     found = {}
     for name in entries.keys() - {"__metadata__"}:
-        first, last = entries[name]["data_offsets"]
-        kind = TYPES[entries[name]["dtype"]]
-        found[name] = content[8 + size :][first:last].view(kind).reshape(entries[name]["shape"])
+        (first, last), kind = entries[name]["data_offsets"], entries[name]["dtype"]
+        if kind not in TYPES:
+            raise ValueError(f"{quoted(name)} has the type {kind}; use one of {', '.join(TYPES)}")
+        part: np.ndarray = content[8 + size :][first:last].view(TYPES[kind])
+        found[name] = part.reshape(entries[name]["shape"])
     return found
 
 

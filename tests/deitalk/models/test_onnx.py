@@ -4,6 +4,7 @@ import base64
 import gzip
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save_file
 
 from deitalk import animate
 from deitalk.config.curves import Config, ModelConfig
@@ -30,7 +32,7 @@ from deitalk.models.load import chosen_backend, load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
 from deitalk.models.onnx.graphs import graph_digest
-from deitalk.models.onnx.network import read_graph
+from deitalk.models.onnx.network import read_graph, stored_weights
 from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
@@ -441,6 +443,23 @@ def test_embedded_models_give_the_same_curves_with_either_backend(name, emotion)
         assert (np.abs(ours - theirs) / span).max() <= TOLERANCE
     np.testing.assert_allclose(made[0].predicted, made[1].predicted, atol=TOLERANCE)
     assert made[0].clipped == made[1].clipped
+
+
+def test_stored_weights_are_those_of_the_file_or_their_type_is_named(plain_folder, tmp_path):
+    shutil.copy(plain_folder / "model.json", tmp_path)
+    weights = {
+        "half": np.arange(6, dtype=np.float16).reshape(2, 3), "one": np.float32([[0.5]]),
+        "many": np.arange(3), "empty": np.zeros((0, 2)), "flag": np.array([True, False]),
+    }  # fmt: skip
+    save_file(weights, tmp_path / "model.safetensors")
+    found = stored_weights(tmp_path)
+    assert found.keys() == weights.keys()
+    for name, value in weights.items():
+        assert found[name].dtype == value.dtype
+        np.testing.assert_array_equal(found[name], value)
+    save_file(weights | {"odd": np.int8([1])}, tmp_path / "model.safetensors")
+    with pytest.raises(CheckpointError, match="'odd' has the type I8; use one of F16, F32"):
+        stored_weights(tmp_path)
 
 
 def test_onnx_rejects_other_devices_and_unknown_backends():
