@@ -49,9 +49,9 @@ HABITS = (
 )  # fmt: skip
 """Parts of the names of the controls that a character uses more or less together, as one muscle
 moves them; none of them parts or closes the lips."""
-HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.6, -0.6, 1.0
+HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.8, -0.45, 1.0
 """Standard deviation of the logarithms of the factors, and their limits in standard deviations,
-.70 and 1.82: no muscle of an emotion is missing, a faint smile was none for those who looked."""
+.70 and 2.23: no muscle of an emotion is missing, a faint smile was none for those who looked."""
 
 
 class Ways(NamedTuple):
@@ -126,6 +126,10 @@ def show_habits(
 ) -> Float32:
     """Finished curves whose distance from the neutral ones has these factors, within the ranges.
 
+    A factor above 1 is that of a small distance; it falls to 1 where the range ends. A muscle that
+    a character uses more does not reach its limit at a normal voice, where a strong one would show
+    no more.
+
     Parameters
     ----------
     shown, neutral : array [shape=(..., C)]
@@ -136,7 +140,10 @@ def show_habits(
         From `habit_factors`.
     """
     if (factors != 1).any():
-        shown += (factors - 1) * (shown - neutral)
+        distance = shown - neutral
+        limit = np.where(distance > 0, controls.maximum, controls.minimum)
+        share = distance / np.where(limit == neutral, 1, limit - neutral)
+        shown += (factors / (1 + np.maximum(factors - 1, 0) * share) - 1) * distance
         np.clip(shown, controls.minimum, controls.maximum, out=shown)
     return shown
 

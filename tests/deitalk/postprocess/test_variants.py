@@ -126,7 +126,7 @@ def drawn(seed=0, actor="anna", sound=0, state=None, **given):
 def test_of_nobody_no_muscle_is_habitual_and_actors_differ_in_all():
     assert (drawn(actor="").habits == 1).all() and (drawn(plain=1.0).habits == 1).all()
     found = np.array([drawn(actor=f"actor {k}").habits for k in range(100)])
-    assert 0.68 < found.min() < 0.72 and 1.75 < found.max() < 1.83
+    assert 0.68 < found.min() < 0.72 and 2.15 < found.max() < 2.24
     assert (np.log(found).std(axis=0) > 0.15).all()
     assert np.abs(np.corrcoef(found.T) - np.eye(len(HABITS))).max() < 0.45
 
@@ -145,6 +145,20 @@ def test_habits_are_of_the_expression_alone_and_keep_the_laws_of_intensity():
         assert (np.abs(more) >= np.abs(less) - 1e-6).all()
     assert (factors[[*RULES.seals, *RULES.opening]] == 1).all()
     assert (factors != 1).sum() > 30
+
+
+def test_a_habit_leaves_room_for_a_stronger_voice():
+    n = len(CONTROLS)
+    neutral = np.tile(CONTROLS.rest, (4, 1)).astype(np.float32)
+    room = CONTROLS.maximum - neutral
+    shown = neutral + room * np.array([[0.01], [0.6], [0.9], [1.0]], np.float32)
+    for factor in (0.7, 1.8):
+        found = show_habits(shown.copy(), neutral, CONTROLS, np.full(n, factor, np.float32))
+        shares = ((found - neutral) / np.where(room > 0, room, 1))[:, (room > 0).all(axis=0)].T
+        np.testing.assert_allclose(shares[:, 0], 0.01 * factor, rtol=0.02)
+        assert (np.diff(shares) > 0.05).all()
+        # (1.8 * .6) / (1 + .8 * .6), and .7 * .6
+        np.testing.assert_allclose(shares[:, 1], {0.7: 0.42, 1.8: 0.7297}[factor], rtol=1e-3)
 
 
 def test_an_actor_that_captures_show_has_no_habits():
