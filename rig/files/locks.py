@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 if sys.platform == "win32":
@@ -36,14 +36,19 @@ def locked(path: Path, *, waits: bool = False) -> Iterator[None]:
 
 
 def _lock(number: int, waits: bool) -> None:
-    if sys.platform != "win32":
-        fcntl.flock(number, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
-        return
-    while True:
-        try:
-            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
-            return
-        except OSError:
+    if sys.platform == "win32":
+        while not _taken(number):
             if not waits:
-                raise BlockingIOError from None
+                raise BlockingIOError
             time.sleep(POLL_SECONDS)
+    else:
+        fcntl.flock(number, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
+
+
+def _taken(number: int) -> bool:
+    """Take a lock on Windows, if it is free."""
+    if sys.platform == "win32":
+        with suppress(OSError):
+            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
+            return True
+    return False
