@@ -259,9 +259,11 @@ def _attended(
 
 def _replaced(ring: Tensor, new: Tensor, axis: int, place: Tensor) -> Tensor:
     """A part of a `CausalState` with new rows, from number `place` (B, 1) on, in their places."""
-    count = new.shape[axis]
-    first = max(count - KEPT, 0)
-    number = torch.remainder(place + torch.arange(first, count, device=new.device), KEPT).long()
-    number = number.view(-1, *[count - first if k == axis else 1 for k in range(1, new.dim())])
-    rows = new.narrow(axis, first, count - first)
-    return ring.scatter(axis, number.expand_as(rows), rows)
+    first = max(new.shape[axis] - KEPT, 0)
+    rows = new.narrow(axis, first, new.shape[axis] - first)
+    number = torch.remainder(torch.arange(KEPT, device=new.device) - place - first, KEPT).long()
+    number = number.view(-1, *[KEPT if k == axis else 1 for k in range(1, new.dim())])
+    is_new = number < rows.shape[axis]
+    if rows.shape[axis] > 1:
+        rows = rows.gather(axis, (number * is_new).expand_as(ring))
+    return torch.where(is_new, rows, ring)
