@@ -7,6 +7,6 @@ import sys
 if sys.path[:1] != [os.path.dirname(os.path.dirname(__file__))] and not sys.flags.safe_path:
     del sys.path[0]
 
-from deitalk.cli import main
+from deitalk.cli import program
 
-main()
+program()

@@ -135,6 +135,11 @@ def percentile(values: Array, percent: float, used: Array, axis: int = 0) -> Arr
     return (low + (place - below) * (high - low)).squeeze(axis)
 
 
+def median(values: Array, axis: int = 0) -> Array:
+    """Median along an axis; that of numpy loads its masked arrays, which takes 15 ms."""
+    return percentile(values, 50, values == values, axis)
+
+
 def mean_of(values: Array, used: Array) -> Array:
     """Mean of the values (T,) that are `used`; 0 where none is."""
     return (values * used).sum() / library(values).clip(as_index(used).sum(), 1, None)

@@ -1,5 +1,6 @@
 """The command line: one thin function per verb; heavy imports happen inside them."""
 
+import atexit
 import gc
 import os
 import sys
@@ -69,6 +70,27 @@ def root(
 
 
 UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer does not export it
+
+
+def program() -> None:
+    """Run `main` as a process of its own, which leaves its memory to the system at its end.
+
+    Python would free every object and library one by one, in a twentieth of the time of a command.
+    """
+    code: Any = 1
+
+    def leave() -> None:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(AttributeError, OSError, ValueError):  # none, broken, closed
+                stream.flush()
+        os._exit(code)
+
+    atexit.register(leave)  # the first to be registered is the last to be called
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code or 0
+        raise
 
 
 def main(app: typer.Typer | None = None, name: str = "deitalk") -> None:

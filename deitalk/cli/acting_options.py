@@ -7,13 +7,14 @@ from functools import wraps
 from typing import Annotated, Any
 
 import typer
+from pydantic import WithJsonSchema
+from pydantic.fields import FieldInfo
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from rig import limits
 
-_TYPES = {"number": float, "integer": int, "boolean": bool}
-_SCHEMA = Acting.model_json_schema()["properties"]
+_TYPES = {"number": float, "integer": int}
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,9 @@ SIGNAL: dict[str, Any] = {
 
 
 def _option(name: str) -> inspect.Parameter:
-    schema = _SCHEMA[name]
-    kind: Any = _TYPES.get(schema.get("type", ""), str)
-    default = schema["default"]
+    field = Acting.model_fields[name]
+    extra: dict[str, Any] = field.json_schema_extra or {}  # type: ignore[assignment]
+    kind, default = _kind(field), extra.get("default", field.default)
     more: dict[str, Any] = {"min": 0, "max": limits.SEED} if kind is int else {}
     flags = [f"--{name.replace('_', '-')}"]
     if kind is bool:
@@ -117,17 +118,25 @@ def _option(name: str) -> inspect.Parameter:
         flags.append("-e")
     if name == "role":
         flags.append("--speaker")
-    help_text = schema["description"]
-    if schema.get("x-repeated"):
+    help_text = field.description
+    if extra.get("x-repeated"):
         kind, default, help_text = list[str], None, f"{help_text} Repeatable."
     option = typer.Option(
         *flags,
         help=help_text,
-        rich_help_panel=schema.get("x-panel"),
+        rich_help_panel=extra.get("x-panel"),
         show_default=bool(default),
         **more,
     )
     return _parameter(name, Annotated[kind | None if default is None else kind, option], default)
+
+
+def _kind(field: FieldInfo) -> Any:
+    """Type of a field's option; the whole JSON schema would take a hundredth of a second."""
+    if field.annotation is bool:
+        return bool
+    stated = (part.json_schema for part in field.metadata if isinstance(part, WithJsonSchema))
+    return _TYPES.get((next(stated, None) or {}).get("type", ""), str)
 
 
 def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:

@@ -22,6 +22,7 @@ import numpy as np
 
 from deitalk.acting import Acting, acted_as
 from deitalk.acting_fields import AUTO
+from deitalk.array_functions import median
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
@@ -427,7 +428,7 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
     heard = intensities.voice[speaking]
-    state = state_of_intensity(float(np.median(heard))) if len(heard) else None
+    state = state_of_intensity(float(median(heard))) if len(heard) else None
     # Traits of the character: of its voice's reference, of the take before, or drawn.
     given = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
     if given:

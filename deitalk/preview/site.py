@@ -5,7 +5,8 @@ Runtime; any static host serves it, and nothing that a user drops or says leaves
 and runtime are packed, and unpacked in the browser: of a model first all even bytes, then all odd
 ones, so that the upper halves of its weights, which alone can be made smaller, are together. The
 live model's file has only the weights that the other one lacks, and is of one voice: many of its
-operators are known then before it runs.
+operators are known then before it runs. The operators of the other one are fused for ONNX Runtime,
+which opens it in two thirds of the time; of the live model this would be no faster, and larger.
 """
 
 import json
@@ -21,6 +22,7 @@ from deitalk.errors import CheckpointError, MissingError
 from deitalk.export.onnx_file import export_onnx
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.fusing import fused
 from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from deitalk.preview.packing import planes
 from deitalk.preview.page import BUNDLE, check_player, render_site
@@ -88,6 +90,7 @@ def export_site(
         with tempfile.TemporaryDirectory() as folder:
             file, live_file = Path(folder) / MODEL, Path(folder) / LIVE_MODEL
             export_onnx(network, file, name=Path(model).name, precision="float16")
+            _fuse(file)
             _pack_model(file, beside)
             if live:
                 export_onnx(require_model("live", DEITalk), live_file, precision="float16")
@@ -111,6 +114,17 @@ def _pack_model(source: Path, folder: Path) -> None:
 def _gzip(content: bytes, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> bytes:
     packer = zlib.compressobj(9, zlib.DEFLATED, 16 + zlib.MAX_WBITS, strategy=strategy)
     return packer.compress(content) + packer.flush()
+
+
+def _fuse(file: Path) -> None:
+    """Give a model the operators that ONNX Runtime fuses; its weights of float16 stay as such."""
+    import onnx
+
+    content = onnx.load(str(file))
+    half = onnx.TensorProto.FLOAT16
+    found = fused(content, {w.name for w in content.graph.initializer if w.data_type == half})
+    found.metadata_props.extend(content.metadata_props)
+    file.write_bytes(found.SerializeToString())
 
 
 def _reduce_live(file: Path, other: Path) -> dict[str, int]:

@@ -72,6 +72,7 @@ CASES = {
     ),
     "percentile": (lambda x, f: xp.percentile(x, 30, f), TRACK, FLAGS),
     "percentile of rows": (lambda x, f: xp.percentile(x, 95, f, 1), ROWS, ROWS > -5),
+    "median": (xp.median, TRACK),
     "mean_of": (xp.mean_of, TRACK, FLAGS),
     "neighbours": (xp.neighbours, FLAGS),
     "running_maximum": (xp.running_maximum, ROWS),
@@ -128,6 +129,11 @@ def test_percentile_is_that_of_the_values_that_are_used():
     for percent in (0, 10, 50, 98, 100):
         found = xp.percentile(TRACK, percent, FLAGS)
         assert found == pytest.approx(np.percentile(TRACK[FLAGS], percent))
+
+
+def test_median_is_that_of_numpy():
+    for rows in (ROWS, ROWS[:, :1], ROWS[:, :-1]):
+        np.testing.assert_allclose(xp.median(rows, 1), np.median(rows, axis=1), rtol=1e-12)
 
 
 def test_neighbours_and_lines_between_are_those_of_a_search():

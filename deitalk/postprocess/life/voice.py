@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.array_functions import median
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64, Int64
@@ -324,7 +325,7 @@ def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
     """
     speaking = np.asarray(activity) > 0.5
     near = np.lib.stride_tricks.sliding_window_view(np.pad(prosody.pitch, 2, mode="edge"), 5)
-    pitch = _standard(np.median(near, axis=1), prosody.voiced, PITCH_SEMITONES)
+    pitch = _standard(median(near, axis=1), prosody.voiced, PITCH_SEMITONES)
     level = _standard(prosody.level, prosody.active & speaking, LEVEL_DB)
     phrases = tuple(_phrases(speaking, prosody))
     sonority = _sonority(prosody)
@@ -413,8 +414,8 @@ def _rises(prosody: Prosody, start: int, stop: int) -> bool:
     if len(voiced) < within:
         return False
     pitch = prosody.pitch[voiced[-within:]]
-    rise = np.median(pitch[-last:]) - np.median(pitch[:-last])
-    is_high = np.median(pitch[-last:]) > np.median(prosody.pitch[voiced])
+    rise = median(pitch[-last:]) - median(pitch[:-last])
+    is_high = median(pitch[-last:]) > median(prosody.pitch[voiced])
     return bool(is_high and RISE_SEMITONES < rise < 12) and _glides(prosody.pitch, voiced)
 
 
@@ -425,7 +426,7 @@ def _glides(pitch: Float64, voiced: NDArray[np.intp]) -> bool:
     stretch = stretch[-round(RISE_SECONDS[0] * FRAME_RATE) :]
     if len(stretch) < round(UNBROKEN_SECONDS * FRAME_RATE):
         return False
-    rise = np.median(stretch[-3:]) - stretch.min()
+    rise = median(stretch[-3:]) - stretch.min()
     return bool(rise > RISE_SEMITONES and np.abs(np.diff(stretch)).max() < LARGEST_STEP)
 
 

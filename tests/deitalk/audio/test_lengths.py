@@ -5,6 +5,7 @@ import struct
 import numpy as np
 import pytest
 
+from deitalk.audio.decoding import open_sound
 from deitalk.audio.load import load_audio
 from tests.deitalk.audio.test_times import EXACT, PACKET, RATE, notes, written
 from tests.media import click, click_time, movie
@@ -74,6 +75,21 @@ def test_a_flac_is_read_whatever_number_of_samples_it_states(total):
     recording = load_audio(data[:18] + packed.to_bytes(8, "big") + data[26:])
     assert recording.duration == 2
     assert bool(notes(recording)) == bool(total)  # 0 is no statement
+
+
+@pytest.mark.parametrize("bits", ["PCM_16", "PCM_24"])
+def test_a_flac_without_a_right_checksum_is_read_by_ffmpeg_alike(bits):
+    samples = np.random.default_rng(0).uniform(-0.5, 0.5, (4000, 2))
+    data = written("FLAC", bits, samples)
+    readers, found = [], []
+    for content in (data, data[:26] + bytes(16) + data[42:]):
+        with open_sound("a.flac", content) as sound:
+            readers.append(type(sound.first))
+            found.append(np.concatenate([*sound.blocks(512)]))
+            found[-1] = sound.rate, sound.channels, sound.layout, sound.expected, found[-1]
+    assert (readers[0] is readers[1]) == (bits == "PCM_24")
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.mark.parametrize("frames", [0, 1, 40, 0xFFFFFF])

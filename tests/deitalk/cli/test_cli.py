@@ -248,3 +248,19 @@ def test_a_recording_is_sent_by_a_model_that_reads_all_of_it_first(model, speech
     done = ran(*words)
     told = r"animating speech.wav\n(note: no voice .*\n)?note: ARKit is a lossy .*\nsending 1.5 s .*\n\d+ frames in"
     assert re.search(told, done.stderr)
+
+
+@pytest.mark.parametrize(("argument", "code"), [("--version", 0), ("--nothing", 2)])
+def test_a_program_ends_with_its_code_after_all_it_has_to_do(argument, code):
+    script = f"""
+import atexit, sys, deitalk.cli as cli
+run, sys.argv = cli.main, ["deitalk", {argument!r}]
+def main():
+    atexit.register(print, "ended", end="")
+    run()
+cli.main = main
+cli.program()
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
+    assert done.returncode == code
+    assert done.stdout.endswith("ended")
