@@ -7,20 +7,20 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from functools import partial
 from math import inf
 from pathlib import Path
 from time import monotonic
 
 import anyio
+from filelock import FileLock, Timeout
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
 from api.compute.worker import OrderWorker, OutOfTime
 from api.errors import InternalError, Problem, named_problem
 from api.guard.keys import Caller, Places
 from deitalk.workers import WorkerLost
-from rig.files.locks import locked
 
 SERVER_PREFIX = "deitalk-server-"
 LOCK = ".deitalk.lock"
@@ -232,15 +232,13 @@ class Stage:
 
     def __init__(self, root: Path) -> None:
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with locked(
-            root / LOCK, waits=True
-        ):  # a folder that another server makes has its lock already
+        with FileLock(root / LOCK):  # a folder that another server makes has its lock already
             for left in root.glob(f"{SERVER_PREFIX}*"):
                 if left.is_dir() and not left.is_symlink() and not _is_held(left):
                     shutil.rmtree(left, ignore_errors=True)
             self.own = Path(tempfile.mkdtemp(dir=root, prefix=SERVER_PREFIX))
-            self._held = ExitStack()
-            self._held.enter_context(locked(self.own / LOCK))
+            self._lock = FileLock(self.own / LOCK, thread_local=False)
+            self._lock.acquire()
 
     def make(self) -> Path:
         """Return a new folder."""
@@ -249,7 +247,7 @@ class Stage:
 
     def close(self) -> None:
         """Remove the server's folder."""
-        self._held.close()
+        self._lock.release()
         shutil.rmtree(self.own, ignore_errors=True)
 
     @asynccontextmanager
@@ -265,9 +263,9 @@ class Stage:
 def _is_held(folder: Path) -> bool:
     """Whether the server that made a folder still runs."""
     try:
-        with locked(folder / LOCK):
+        with FileLock(folder / LOCK, timeout=0):
             return False
-    except BlockingIOError:
+    except Timeout:
         return True
 
 

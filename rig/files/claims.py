@@ -3,16 +3,11 @@
 import hashlib
 import os
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from rig.errors import TargetError
-from rig.files.locks import locked
-
-_holders: set[tuple[str, int]] = set()
-"""Claimed targets, by the names of their locks, and the threads that hold them."""
 
 
 def cache_folder() -> Path:
@@ -44,20 +39,23 @@ def claim(target: Path | str) -> Iterator[None]:
     TargetError
         If another process or thread writes to it.
     """
+    from filelock import FileLock, Timeout
+
     name = hashlib.sha256(os.fsencode(os.path.realpath(target))).hexdigest()[:32]
-    path, holder = cache_folder() / "locks" / f"{name}.lock", (name, threading.get_ident())
-    with ExitStack() as held:
-        if holder not in _holders:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                held.enter_context(locked(path))
-            except BlockingIOError:
-                raise TargetError(
-                    f"{target} is being written by another process; wait for it, or name another "
-                    "target"
-                ) from None
-            except OSError:
-                pass
-            _holders.add(holder)
-            held.callback(_holders.discard, holder)
+    path = cache_folder() / "locks" / f"{name}.lock"
+    lock = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path, timeout=0, is_singleton=True)
+        lock.acquire()
+    except Timeout:
+        raise TargetError(
+            f"{target} is being written by another process; wait for it, or name another target"
+        ) from None
+    except (OSError, RuntimeError):
+        lock = None
+    try:
         yield
+    finally:
+        if lock is not None:
+            lock.release()
