@@ -14,6 +14,7 @@
                 └── TopologyError  triangles with wrong vertices, meshes that do not match
 """
 
+import errno
 import unicodedata
 from typing import Any
 
@@ -155,3 +156,12 @@ class MeshError(RigError):
 
 class TopologyError(MeshError):
     """Triangles that name wrong vertices, or meshes that do not share their triangles."""
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or one that it came from, is that of a full disk."""
+    while error is not None:
+        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
