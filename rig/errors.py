@@ -161,7 +161,11 @@ class TopologyError(MeshError):
 def is_disk_full(error: BaseException | None) -> bool:
     """Whether an error, or one that it came from, is that of a full disk."""
     while error is not None:
-        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+        code = getattr(error, "errno", None)
+        # numpy's `tofile` has no number for bytes that the disk did not take.
+        if code in (errno.ENOSPC, errno.EDQUOT) or (
+            isinstance(error, OSError) and code is None and "requested and" in str(error)
+        ):
             return True
         error = error.__cause__ or error.__context__
     return False
