@@ -234,9 +234,7 @@ class _SndfileReader:
 
 
 def _undisturbed(pieces: Iterator[Piece]) -> Iterator[Piece]:
-    """Pieces between which signals act: decoders print those that come while they read a file, and
-    take them for its end.
-    """
+    """Pieces, between which signals act; while a decoder reads one would end the sound unseen."""
     while True:
         with held():
             piece = next(pieces, None)
