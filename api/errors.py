@@ -28,7 +28,6 @@ from deitalk.errors import (
     DataError,
     EmotionError,
     MissingError,
-    is_disk_full,
 )
 from rig.errors import (
     ControlError,
@@ -38,6 +37,7 @@ from rig.errors import (
     MeshError,
     TopologyError,
     UserError,
+    is_disk_full,
     one_line,
 )
 

@@ -13,8 +13,6 @@
             └── MissingError     a program or package this machine lacks
 """
 
-import errno
-
 from rig.errors import UserError
 
 
@@ -44,12 +42,3 @@ class DataError(DeitalkError):
 
 class MissingError(DeitalkError):
     """A program or package that this machine lacks; the message names the install line."""
-
-
-def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error, or one that it came from, is that of a full disk."""
-    while error is not None:
-        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False

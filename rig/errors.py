@@ -14,6 +14,7 @@
                 └── TopologyError  triangles with wrong vertices, meshes that do not match
 """
 
+import errno
 import unicodedata
 from typing import Any
 
@@ -155,3 +156,16 @@ class MeshError(RigError):
 
 class TopologyError(MeshError):
     """Triangles that name wrong vertices, or meshes that do not share their triangles."""
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or one that it came from, is that of a full disk."""
+    while error is not None:
+        code = getattr(error, "errno", None)
+        # numpy's `tofile` has no number for bytes that the disk did not take.
+        if code in (errno.ENOSPC, errno.EDQUOT) or (
+            isinstance(error, OSError) and code is None and "requested and" in str(error)
+        ):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

@@ -25,7 +25,7 @@ FLOORS = {
         audio emotions
         config array_functions
         installed workers
-        safe_path
+        safe_path signals
         errors
     """,
     "rig": """

@@ -142,7 +142,7 @@ def test_full_disk_leaves_old_files_and_no_others(
                 break
             messages = [line for line in lines if line.startswith("deitalk: ")]
             assert len(messages) == 1 and "space" in messages[0].lower(), lines
-            assert str(out) in messages[0], "the file is named"
+            assert str(out) in messages[0] and "/.deitalk" not in messages[0], messages
             assert not any("Traceback" in line for line in lines)
             assert after == before, (share, set(after) ^ set(before))
     if name != "take":  # its take.json has the time of writing

@@ -15,9 +15,8 @@ from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
 from api.errors import DISK_FULL, describe, names_of
-from deitalk.errors import is_disk_full
 from deitalk.workers import begin_worker
-from rig.errors import UserError
+from rig.errors import UserError, is_disk_full
 
 KEPT = {-1: 128 * 2**20, -3: 32 * 2**20}
 """M_TRIM_THRESHOLD and M_MMAP_THRESHOLD: free bytes that a process keeps, and its largest block.

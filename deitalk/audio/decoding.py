@@ -21,6 +21,7 @@ from deitalk.audio.content import Part, Window
 from deitalk.audio.ffmpeg import FFmpegReader, Piece
 from deitalk.audio.parts import parts_of, tag_bytes
 from deitalk.errors import AudioError
+from deitalk.signals import held
 from rig.arrays import Float32
 
 RECORDINGS = (
@@ -269,17 +270,32 @@ class _ShortFlac(_SndfileReader):
         yield Piece(self.samples / np.float32(1 << 15), self.rate)
 
 
+def _undisturbed(pieces: Iterator[Piece]) -> Iterator[Piece]:
+    """Pieces, between which signals act; while a decoder reads one would end the sound unseen."""
+    while True:
+        with held():
+            piece = next(pieces, None)
+        if piece is None:
+            return
+        yield piece
+
+
 class _Recordings:
     """All recordings of a file as one, with the rate and the channels of the first."""
 
     def __init__(self, name: str, opened: Any, parts: list[Part], track: int = 0) -> None:
         self.name, self.opened, self.parts, self.asked = name, opened, parts, track
-        self.first = opened(parts[0], track)
+        self.first = self._open(parts[0])
         self.rate, self.channels = self.first.rate, self.first.channels
         self.layout = self.first.layout
         self.tracks, self.track = self.first.tracks, self.first.track
         self.expected = round(self.first.seconds * self.rate) if len(parts) == 1 else 0
         self.notes: list[str] = []
+
+    def _open(self, part: Part) -> "_SndfileReader | FFmpegReader":
+        with held():
+            opened: _SndfileReader | FFmpegReader = self.opened(part, self.asked)
+        return opened
 
     def on(self, track: int) -> "_Recordings":
         """Open the same file on another track."""
@@ -305,12 +321,12 @@ class _Recordings:
         lost: list[str] = []
         for number, part in enumerate(self.parts, 1):
             try:
-                reader = self.first if number == 1 else self.opened(part, self.asked)
+                reader = self.first if number == 1 else self._open(part)
             except AudioError as error:
                 reason = str(error).removeprefix(f"{self.name} ").partition(";")[0]
                 lost.append(f"recording {number} of {len(self.parts)} is left out: it {reason}")
                 continue
-            for piece in reader.pieces(size):
+            for piece in _undisturbed(reader.pieces(size)):
                 yield from alike.taken(piece)
             for note in reader.notes:
                 notes[note] = notes.get(note, 0) + 1

@@ -17,10 +17,9 @@ from deitalk.batch.findings import findings
 from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
 from deitalk.batch.recordings import read_recording
-from deitalk.errors import is_disk_full
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Extra, Performance
-from rig.errors import UserError, one_line
+from rig.errors import UserError, is_disk_full, one_line
 
 if TYPE_CHECKING:
     from deitalk.pipeline.curves import Prepared

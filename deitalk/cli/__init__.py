@@ -12,10 +12,10 @@ import typer
 
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.options import CheckedCommands
-from deitalk.cli.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
 from deitalk.cli.targets import hold_targets
 from deitalk.installed import __version__
 from deitalk.safe_path import safe_path
+from deitalk.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
 from rig.errors import UserError, one_line
 
 VERBS = (

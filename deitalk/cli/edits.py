@@ -8,7 +8,7 @@ import typer
 from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, emit_outcome
 from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Rate, Timecode
-from deitalk.cli.targets import reserve_file, reserve_take
+from deitalk.cli.targets import curves_of, reserve_file, reserve_take
 from deitalk.errors import DeitalkError
 from rig.limits import MOST_DELAY, MOST_HANDLES
 
@@ -73,6 +73,7 @@ def diff(
 
     if not out.name.lower().endswith(".json"):
         raise DeitalkError(f"{out} must be a .json file, such as fixes{SUFFIX}")
+    edited = curves_of(edited)
     inputs = (edited, take if take.is_file() else take / "curves.json")
     reserve_file(out, force=force, inputs=inputs)
     name = out.name.removesuffix(SUFFIX).removesuffix(".json")

@@ -19,7 +19,8 @@ def shown_on(advance: "Advance") -> "Progress":
         scores = [f"{name[4:]} {v:.4g}" for name, v in values.items() if name.startswith("dev_")]
         loss = [f"loss {values['total']:.4g}"] if "total" in values else []
         rate = [f"{values['rate']:.3g} samples/s"] if "rate" in values else []
-        text = ", ".join([f"step {step} of {total}", *loss, *rate, *scores])
+        steps = [f"step {step} of {total}"] if total else ["the regression"]
+        text = ", ".join([*steps, *loss, *rate, *scores])
         for phase in {"read", "encoded", "fitted"} & values.keys():
             text = f"{values[phase]:.0%} of the captures {phase}"
         advance(step / max(total, 1), text, always=bool(scores))

@@ -106,7 +106,7 @@ def record_face(
     force : bool
         Replace the file.
     """
-    from deitalk.cli.signals import held
+    from deitalk.signals import held
     from rig import write_curves
     from rig.files import atomic_write
     from rig.formats import find_format

@@ -96,7 +96,10 @@ def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
     folder = Path(folder)
     table = folder / "clips.csv"
     if not table.is_file():
-        raise DataError(f"{folder}: holds no clips.csv; docs/dataset.md describes it")
+        what = "holds no clips.csv" if folder.is_dir() else "is no folder"
+        raise DataError(
+            f"{folder} {what}; `deitalk data import takes/ -o DATA` writes a dataset folder"
+        )
     header, rows = read_rows(table, MAX_BYTES, error=DataError, needed=REQUIRED)
     # Names differ, emotions and splits are known.
     names: set[str] = set()

@@ -86,6 +86,11 @@ class Table:
         needed = [name for name in wanted if name not in defaults]
         for name in needed:
             if name not in self.names:
+                if any(math.isfinite(_number(given)) for given in self.names):
+                    raise EmotionError(
+                        f"{self.path}: its first line must name the columns, such as "
+                        "time,emotion,strength or time,intensity; it holds numbers"
+                    )
                 raise missing(self.path, 1, name, needed)
         rows, cells = [], []
         for row, key in self.keys:

@@ -397,9 +397,7 @@ def write_take(
             )
     except OSError as error:
         reason = error.strerror or str(error)
-        raise TargetError(
-            f"cannot write {folder}: {reason}; free space or name another folder"
-        ) from None
+        raise TargetError(f"cannot write {folder}: {reason}; name another folder") from None
     return folder
 
 

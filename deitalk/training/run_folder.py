@@ -167,6 +167,8 @@ def save_state(out: Path, parts: dict[str, Any], numbers: dict[str, float]) -> N
     Raises
     ------
     OSError
+        If the file cannot be written.
+    TargetError
         If the disk is full.
     """
     states = {name: part.state_dict() for name, part in parts.items()}

@@ -1,6 +1,5 @@
 """Atomic writing of one file: it is written beside its place, then renamed."""
 
-import errno
 import hashlib
 import os
 import re
@@ -10,6 +9,8 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from rig.errors import TargetError, is_disk_full
 
 PREFIX = ".deitalk-"
 """Beginning of the names of all temporary files and folders."""
@@ -52,6 +53,8 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     ------
     OSError
         If the folder cannot be written to, or `path` is a folder.
+    TargetError
+        If the disk is full.
     """
     path = Path(os.path.realpath(path)) if os.path.islink(path) else Path(path)
     beside = path.with_name(temporary_name(path.name))
@@ -61,13 +64,18 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
             with suppress(OSError):
                 shutil.copymode(path, beside)
         os.replace(beside, path)
-    except OSError as error:
-        if error.errno == errno.ENOSPC:  # numpy and others do not name the file
-            error.filename = str(path)
+    except Exception as error:
+        if is_disk_full(error):
+            raise no_space(path) from error
         raise
     finally:
         with suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+def no_space(path: Path) -> TargetError:
+    """The error of a full disk, naming a path that the user knows, not a temporary one."""
+    return TargetError(f"{path}: no space left on the disk; free some, or name another place")
 
 
 def remove_leftovers(folder: Path, name: str | None = None) -> int:

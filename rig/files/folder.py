@@ -12,7 +12,6 @@ so that the next start finishes the exchange of a killed process.
       .deitalk-<hash>-<host>-…/     only while files are written: the stage
 """
 
-import errno
 import hashlib
 import json
 import os
@@ -22,8 +21,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ExistsError, TargetError, listed
-from rig.files.atomic import PREFIX, atomic_write, remove_leftovers, temporary_name
+from rig.errors import ExistsError, TargetError, is_disk_full, listed
+from rig.files.atomic import PREFIX, atomic_write, no_space, remove_leftovers, temporary_name
 from rig.files.claims import claim
 from rig.files.manifest import (
     MANIFEST,
@@ -206,9 +205,9 @@ def _staged(stage: Path, folder: Path, kind: str, *, is_addition: bool = False) 
         stage.mkdir()
         yield
         _commit(stage, folder, kind, is_addition)
-    except OSError as error:
-        if error.errno == errno.ENOSPC:  # some writers name no file
-            error.filename = error.filename or str(folder)
+    except Exception as error:
+        if is_disk_full(error):
+            raise no_space(folder) from error
         raise
     finally:
         recover(folder)  # where an interrupt came while files were exchanged

@@ -30,7 +30,7 @@ from rig.controls import check_unique
 from rig.curves import RigCurves, check_clip, snap_fps
 from rig.curves.timecode import TICKS_PER_SECOND, TIMECODE, read_timecodes
 from rig.errors import FormatError, quoted
-from rig.files.reading import open_file, read_json, read_npz
+from rig.files.reading import check_file, open_file, read_json, read_npz
 from rig.formats.even_grid import even, rate_of
 from rig.formats.units import check_rate, seconds_of
 from rig.formats.wide_csv import LARGEST, Layout, read_layout, read_numbers
@@ -152,6 +152,7 @@ def read_named(
         ".txt": _read_face_cap if suffix == ".txt" and is_face_cap(path) else _read_csv,
     }  # fmt: skip
     if suffix not in readers:
+        check_file(path, CURVES_BYTES)  # no suffix helps what is not there
         raise FormatError(f"{path}: {suffix!r} is no table of curves; use .csv, .json or .npz")
     table = readers[suffix](path)
     kept = [i for i, name in enumerate(table.names) if name not in NO_SHAPES]

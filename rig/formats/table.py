@@ -16,7 +16,8 @@ from rig.conversion.avatars import AVATARS
 from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.files.reading import rows_of
+from rig.files.reading import check_file, rows_of
+from rig.limits import CURVES_BYTES
 
 Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
 Writer = Callable[..., None]
@@ -138,6 +139,8 @@ def find_format(
         return by_name[name]
     endings = [(s, f) for f in fits for s in f.suffixes if path.name.lower().endswith(s)]
     if not endings:
+        if readable:
+            check_file(path, CURVES_BYTES)  # no suffix helps what is not there
         known = ", ".join(s for f in fits for s in f.suffixes)
         raise FormatError(f"{path}: no format has the suffix {path.suffix!r}; known: {known}")
     return max(endings, key=lambda ending: len(ending[0]))[1]

@@ -16,8 +16,7 @@ import sqlalchemy as sql
 from api.errors import DISK_FULL, describe, problem_for
 from api.jobs.queue import Queue, new_id
 from api.jobs.versions import open_database
-from deitalk.errors import is_disk_full
-from rig.errors import FormatError
+from rig.errors import FormatError, is_disk_full
 from tests.api.conftest import wav
 from tests.api.database import serving_postgres
 from tests.api.kill import frozen

@@ -357,4 +357,6 @@ def _notes(labels: Labels, capture: CapturedCurves, sound: Recording, reason: st
         notes.append("no actor given, taken as one")
     if not labels.is_emotion_given:
         notes.append("no emotion given, taken as neutral")
+    if labels.named:
+        notes.append(f"its name has {' and '.join(labels.named)}, taken as {labels.emotion}")
     return notes

@@ -44,6 +44,8 @@ class Labels:
     voice: str = ""
     is_actor_given: bool = True
     is_emotion_given: bool = True
+    named: tuple[str, ...] = ()
+    """Emotions of the take's name, where these are several, the one that is taken first."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +104,14 @@ class Labelling:
         }
         where = str(source.curves)
         emotion = emotion_of(found["emotion"], where) if found["emotion"] else ""
+        several: tuple[str, ...] = ()
         if not emotion:  # the last part of the path that names one
-            words = re.split(r"[^A-Za-z]+", source.place.lower())
-            named = [SPELLINGS.get(word, word) for word in reversed(words)]
-            emotion = next((name for name in named if name in EMOTIONS), "")
+            for part in reversed(source.place.lower().split("/")):
+                words = [SPELLINGS.get(word, word) for word in re.split(r"[^a-z]+", part)]
+                several = tuple(dict.fromkeys(w for w in reversed(words) if w in EMOTIONS))
+                if several:
+                    emotion = several[0]
+                    break
         split = row.get("split", "")
         if split and split not in SPLITS:
             raise DataError(f"{where}: split {quoted(split)} must be {', '.join(SPLITS)}")
@@ -118,6 +124,7 @@ class Labelling:
             emotion_of(row["voice"], where) if row.get("voice") else "",
             is_actor_given=bool(actor),
             is_emotion_given=bool(emotion),
+            named=several if len(several) > 1 else (),
         )
 
     def check_rows(self, names: Sequence[str]) -> None:

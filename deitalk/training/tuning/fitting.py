@@ -1,4 +1,4 @@
-"""A model on captures of after its tuning: scored on them, or fitted to a few seconds of a take.
+"""A tuned model on new captures: scored on them, or fitted to a few seconds of a take.
 
 Seconds of captures teach no map of the sound, but they tell which convention a take has, how its
 face rests and how far each control moves: the nearest style, gains and offsets.

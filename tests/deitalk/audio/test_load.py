@@ -2,6 +2,7 @@
 
 import io
 import os
+import signal
 import struct
 import subprocess
 import wave
@@ -14,6 +15,7 @@ import soundfile as sf
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deitalk.audio.content import Window
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.errors import AudioError
@@ -159,6 +161,31 @@ def test_damaged_containers_give_an_error_of_one_line_or_a_recording(tmp_path, r
             except AudioError as error:
                 assert "\n" not in str(error)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", ["wav", "flac", "ogg", "mp3", "m4a"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_ctrl_c_while_a_decoder_reads_is_not_lost(tmp_path, monkeypatch, capfd, suffix, share):
+    """Decoders print exceptions of what they call, and take them for the end of the file."""
+    path, sound = tmp_path / f"a.{suffix}", tone(48_000, 20)[:, None]
+    if suffix == "m4a":
+        write_sound(path, sound, 48_000)
+    else:
+        sf.write(path, sound, 48_000)
+    plain, calls, last = Window.read, [0], [0]
+
+    def pressed(window: Window, count: int = -1) -> bytes:
+        calls[0] += 1
+        if calls[0] == last[0]:
+            signal.raise_signal(signal.SIGINT)
+        return plain(window, count)
+
+    monkeypatch.setattr(Window, "read", pressed)
+    load_audio(path)
+    last[0], calls[0] = max(round(share * calls[0]), 1), 0
+    with pytest.raises(KeyboardInterrupt):
+        load_audio(path)
+    assert not capfd.readouterr().err
 
 
 def test_bytes_and_streams_equal_the_file(tmp_path):

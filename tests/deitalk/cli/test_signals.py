@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deitalk.cli import main
-from deitalk.cli.signals import Terminated, catch_signals, held
 from deitalk.errors import DeitalkError
+from deitalk.signals import Terminated, catch_signals, held
 from rig import RigCurves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.formats.livelink_csv import read_take
@@ -160,7 +160,7 @@ def test_held_signals_act_after_the_block(number, kind):
 def test_signals_that_nothing_handles_are_not_held():
     code = (
         "import os, signal\n"
-        "from deitalk.cli.signals import held\n"
+        "from deitalk.signals import held\n"
         "with held():\n    os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == -signal.SIGTERM

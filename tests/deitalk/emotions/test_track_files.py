@@ -73,6 +73,7 @@ def test_weights_in_columns_are_read_with_decimal_commas(tmp_path):
         ("time;intensity\n0;1\n;\n2;\n", "key 3: no 'intensity'"),
         ("time;intensity\n;;\n", "holds no keys"),
         ("time;intensity", "holds no keys"),
+        ("0;1\n1;0,5\n", "its first line must name the columns, such as time,emotion"),
         ("sep=|\ntime|intensity\n0|1\n", "none of comma, semicolon and tab"),
         ("time,Time,intensity\n0,0,1\n", "'time' comes twice"),
         ("time,intensity\n0,1\n1,5,0,45\n", "key 2: more cells than the 2"),

@@ -41,7 +41,8 @@ def test_output_folder_is_as_before_after_an_error(tmp_path, exists):
     take = tmp_path / "take"
     if exists:
         fill(take, {"curves.csv": "1"})
-    with pytest.raises(OSError), output_folder(take, kind="take", force=True) as stage:
+    full = pytest.raises(TargetError, match="take: no space left on the disk; free some")
+    with full, output_folder(take, kind="take", force=True) as stage:
         (stage / "curves.csv").write_text("2")
         raise OSError(28, "No space left on device")
     assert (content(take) == {"curves.csv": "1"}) if exists else (os.listdir(tmp_path) == [])

@@ -9,8 +9,9 @@ from hypothesis.extra import numpy as hnp
 
 from rig import ControlSet, RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.emotions import EMOTIONS
-from rig.errors import ControlError, FormatError, RigError
+from rig.errors import ControlError, FormatError, RigError, TargetError
 from rig.formats.decimal_text import Block, rows
+from rig.formats.named import read_named
 from rig.formats.table import FORMATS as TABLE
 from rig.formats.wide_csv import read_layout, read_numbers
 
@@ -298,12 +299,17 @@ def test_damaged_scene_is_read_or_rejected_in_one_line(suffix, tmp_path, rng):
             assert str(error) and "\n" not in str(error)
 
 
-def test_read_and_write_reject_impossible_paths(tmp_path):
-    with pytest.raises(FormatError, match="does not exist"):
-        read_curves(tmp_path / "absent.csv")
-    (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(FormatError, match="is a folder"):
-        read_curves(tmp_path / "folder.csv")
+@pytest.mark.parametrize("name", ["absent", "absent.csv", "absent.wav", "folder", "folder.csv"])
+@pytest.mark.parametrize("read", [read_curves, read_named])
+def test_what_is_no_file_is_said_before_its_suffix(tmp_path, read, name):
+    kind, _, suffix = name.partition(".")
+    (tmp_path / f"folder{suffix and '.'}{suffix}").mkdir()
+    said = {"absent": "does not exist", "folder": "is a folder, not a file"}[kind]
+    with pytest.raises(FormatError, match=said):
+        read(tmp_path / name)
+
+
+def test_write_rejects_impossible_paths(tmp_path):
     with pytest.raises(FormatError, match=r"no format has the suffix '.abc'; known: .csv"):
         write_curves(tmp_path / "c.abc", rest_curves(1))
     with pytest.raises(FormatError, match="unknown format 'abc'; known: csv"):
@@ -326,7 +332,7 @@ def test_failed_writer_leaves_the_old_file_only(tmp_path, monkeypatch, suffix):
     monkeypatch.setattr("rig.formats.curves_csv.rows", full_disk)
     monkeypatch.setattr("rig.formats.curves_json.rows", full_disk)
     monkeypatch.setattr("numpy.savez_compressed", full_disk)
-    with pytest.raises(FormatError, match=r"cannot write.*No space left"):
+    with pytest.raises(TargetError, match=r"c\.\w+: no space left on the disk; free some"):
         write_curves(path, rest_curves(2))
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]

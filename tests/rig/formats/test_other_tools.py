@@ -119,6 +119,7 @@ def test_unreal_json_has_keys_for_both_routes(tmp_path):
     assert data["board"]["CTRL_C_jaw"] == {"x": 0, "y": [0, 0.5, 1]}
     assert data["board"]["CTRL_L_brow_down"] == {"value": 0}
     assert "CTRL_neckCorrectivesMultiplyerU" not in data["board"]
+    (tmp_path / "c.unreal.jsonx").write_text("{}")
     with pytest.raises(FormatError, match="no format has the suffix"):
         read_curves(tmp_path / "c.unreal.jsonx")
 

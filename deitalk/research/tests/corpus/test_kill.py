@@ -32,7 +32,7 @@ with worker_pool(2) as pool:
 """
 LONG = """
 from pathlib import Path
-from deitalk.cli.signals import catch_signals
+from deitalk.signals import catch_signals
 from deitalk.research.corpus.build import Shard, build
 import sys
 catch_signals()

@@ -19,7 +19,14 @@ def source(place: str) -> Source:
     [("takes/happy/a_1", "happy"), ("takes/anna_ANGER_03", "angry"), ("sad/joy-2", "happy")],
 )
 def test_names_of_folders_and_files_give_the_emotion(place, emotion):
-    assert Labelling().of(source(place)).emotion == emotion
+    labels = Labelling().of(source(place))
+    assert labels.emotion == emotion and not labels.named
+
+
+def test_a_name_of_two_emotions_says_so():
+    labels = Labelling().of(source("angry/anna_happy_sadness_1"))
+    assert labels.emotion == "sad" and labels.named == ("sad", "happy")
+    assert not Labelling(emotion="happy").of(source("anna_happy_sad")).named
 
 
 def test_a_take_without_any_label_is_of_one_neutral_actor_and_says_so():
