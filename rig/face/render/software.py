@@ -77,7 +77,7 @@ def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any],
     """Room for a drawing in bands of rows: ends of their faces, faces, depth of tiles, samples."""
     bands = -(-height // rows)
     return (
-        np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
+        np.empty(bands + 2, np.int64), np.empty((bands + 1) * faces, np.uint32),
         np.empty((-(-rows // TILE), -(-width // TILE)), np.float32),
         np.empty((rows, -(-width // TILE) * TILE), np.int64),
     )  # fmt: skip
@@ -195,16 +195,21 @@ class Renderer:
 
 def _packed(picture: Picture) -> NDArray[np.uint32]:
     """Texels (A, A) of a picture of three or four channels, the first one lowest."""
-    four = np.zeros((*picture.shape[:2], 4), np.uint8)
-    four[..., : picture.shape[2]] = picture
-    return four.view("<u4")[..., 0]
+    four = picture
+    if picture.shape[2] < 4:
+        four = np.zeros((*picture.shape[:2], 4), np.uint8)
+        four[..., :3] = picture
+    return np.ascontiguousarray(four).view("<u4")[..., 0]
 
 
 def _neighbours(alpha: Picture) -> NDArray[np.uint32]:
     """Bytes of the four texels round each corner of texels, row by row."""
-    edged = np.pad(alpha, 1, mode="edge").astype(np.uint32)
+    edged = np.pad(alpha, 1, mode="edge")
     upper, lower = edged[:-1], edged[1:]
-    return np.asarray(upper[:, :-1] | upper[:, 1:] << 8 | lower[:, :-1] << 16 | lower[:, 1:] << 24)
+    four = np.empty((len(upper), len(upper), 4), np.uint8)
+    for k, corner in enumerate((upper[:, :-1], upper[:, 1:], lower[:, :-1], lower[:, 1:])):
+        four[..., k] = corner
+    return four.view("<u4")[..., 0]
 
 
 def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
@@ -212,22 +217,28 @@ def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
     side = len(alpha)
     low = np.clip(np.floor(uv.min(1) * side - 0.5), 0, side - 1).astype(np.int64)
     high = np.clip(np.floor(uv.max(1) * side + 0.5), 0, side - 1).astype(np.int64) + 1
-    holes = np.zeros((side + 1, side + 1), np.int32)  # above and left of each corner of texels
-    holes[1:, 1:] = (alpha <= MOST_ALPHA).cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32)
-    (left, top), (right, bottom) = low.T, high.T
+    if not len(uv):
+        return np.zeros(0, bool)
+    start = low.min(0)
+    (left, top), (right, bottom) = (low - start).T, (high - start).T
+    part = alpha[start[1] :, start[0] :][: bottom.max(), : right.max()]
+    holes = np.zeros((len(part) + 1, part.shape[1] + 1), np.int32)  # above and left of each corner
+    holes[1:, 1:] = (part <= MOST_ALPHA).cumsum(1, dtype=np.int32).cumsum(0, dtype=np.int32)
     found = holes[bottom, right] - holes[top, right] - holes[bottom, left] + holes[top, left]
     return np.asarray(found == 0)
 
 
 def _parts(mesh: Mesh) -> Int32:
     """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], np.zeros(0, np.int64)
+    is_hair = np.isin(mesh.kind, (HAIR, FINE))
+    label, before = mesh.weld.astype(np.int32), np.zeros(0, np.int32)
+    corners = label[mesh.faces[~is_hair[mesh.faces[:, 0]]].T]
     while not np.array_equal(label, before):
         before, names = label.copy(), label[corners]
         np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
         while not np.array_equal(label, label[label]):
             label = label[label]
-    return np.where(np.isin(mesh.kind, (HAIR, FINE)), -1, label[mesh.weld]).astype(np.int32)
+    return np.where(is_hair, np.int32(-1), label[mesh.weld])
 
 
 TEXELS_PER_CM = 28.0
