@@ -475,8 +475,9 @@ class Head:
         else:
             used = np.flatnonzero(weights.any(axis=0))
             table = self._displacements[used]
-            for k in range(0, len(out), FEW):
-                out[k : k + FEW] += (weights[k : k + FEW, used] @ table).reshape(-1, *out.shape[1:])
+            for start in range(0, len(out), FEW):
+                few = slice(start, start + FEW)
+                out[few] += (weights[few, used] @ table).reshape(-1, *out.shape[1:])
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
             away = out[:, ids] - eye[:3].astype(np.float32)
             far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))

@@ -99,7 +99,7 @@ class SparseShapes(ShapeSet):
         vars(self).update(neutral=neutral, names=names, landmarks={}, _moves=tuple(moves))
 
     @cached_property
-    def deltas(self) -> Float32:  # type: ignore[override]
+    def deltas(self) -> Float32:
         """Displacement of every vertex [shape=(K, V, 3)]."""
         deltas = np.zeros((len(self.names), *self.neutral.vertices.shape), np.float32)
         for delta, (vertices, moves) in zip(deltas, vars(self)["_moves"], strict=True):
@@ -109,7 +109,7 @@ class SparseShapes(ShapeSet):
 
     def moved(self, least: float) -> list[tuple[Int64, Float32]]:
         """As of a `ShapeSet`."""
-        return [_farther(*moves, least) for moves in vars(self)["_moves"]]
+        return [_farther(vertices, moves, least) for vertices, moves in vars(self)["_moves"]]
 
 
 def _some(delta: Float32) -> tuple[Int64, Float32]:

@@ -54,7 +54,7 @@ def png(picture: Picture) -> bytes:
     kind = {3: 2, 4: 6}[channels]
     chunks = {
         b"IHDR": struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0),
-        b"IDAT": packer.compress(rows) + packer.flush(),
+        b"IDAT": packer.compress(rows.tobytes()) + packer.flush(),
         b"IEND": b"",
     }
     return b"\x89PNG\r\n\x1a\n" + b"".join(
