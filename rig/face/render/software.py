@@ -130,9 +130,11 @@ class Renderer:
         is_hair = np.isin(kind, (HAIR, FINE))
         group = np.where(kind == SKIN, 0, np.where(is_hair | (kind == CLOTH), 2, 1))
         hair = np.flatnonzero(is_hair)
-        group[hair[~_opaque(alpha, mesh.uv[mesh.faces[hair]])]] = 3
-        far_off = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces].max(1)
-        order = np.lexsort((np.where(group == 3, far_off, 0), group))  # soft ones from the front on
+        soft = hair[~_opaque(alpha, mesh.uv.T[:, mesh.faces[hair].T])]
+        group[soft] = 3
+        depth = np.zeros(len(group))  # soft ones from the front on
+        depth[soft] = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces[soft]].max(1)
+        order = np.lexsort((depth, group))
         self._faces = mesh.faces[order].astype(np.uint32)
         self._stops = np.bincount(group, minlength=4).cumsum()[:3]
         self._weld = mesh.weld.astype(np.uint32)
@@ -213,14 +215,14 @@ def _neighbours(alpha: Picture) -> NDArray[np.uint32]:
 
 
 def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
-    """Which faces, with corners (N, 3, 2) in a picture, cover all their samples."""
+    """Which faces, with corners (2, 3, N) in a picture, cover all their samples."""
     side = len(alpha)
     low = np.clip(np.floor(uv.min(1) * side - 0.5), 0, side - 1).astype(np.int64)
     high = np.clip(np.floor(uv.max(1) * side + 0.5), 0, side - 1).astype(np.int64) + 1
-    if not len(uv):
+    if not low.size:
         return np.zeros(0, bool)
-    start = low.min(0)
-    (left, top), (right, bottom) = (low - start).T, (high - start).T
+    start = low.min(1)
+    (left, top), (right, bottom) = low - start[:, None], high - start[:, None]
     part = alpha[start[1] :, start[0] :][: bottom.max(), : right.max()]
     holes = np.zeros((len(part) + 1, part.shape[1] + 1), np.int32)  # above and left of each corner
     holes[1:, 1:] = (part <= MOST_ALPHA).cumsum(1, dtype=np.int32).cumsum(0, dtype=np.int32)
@@ -231,10 +233,14 @@ def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
 def _parts(mesh: Mesh) -> Int32:
     """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
     is_hair = np.isin(mesh.kind, (HAIR, FINE))
-    label, before = mesh.weld.astype(np.int32), np.zeros(0, np.int32)
-    corners = label[mesh.faces[~is_hair[mesh.faces[:, 0]]].T]
-    while not np.array_equal(label, before):
-        before, names = label.copy(), label[corners]
+    label = mesh.weld.astype(np.int32)
+    corners = mesh.faces[~is_hair[mesh.faces[:, 0]]].T
+    while True:
+        names = label[corners]
+        apart = (names != names[0]).any(0)
+        if not apart.any():
+            break
+        corners, names = corners[:, apart], names[:, apart]
         np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
         while not np.array_equal(label, label[label]):
             label = label[label]
