@@ -55,6 +55,8 @@ MOUTH_REACH = np.array([[0.6, 1.0, 4.0], [0.6, 1.5, 0.0]])
 BATCH, FEW, MANY = 64, 16, 16
 """Frames that are posed together; of these, those whose sums of shapes stay in the cache; weights a
 shape that are worth the import of sparse matrices."""
+ROUNDING = 1e-5
+"""What a sum of movements is out by, cm: a vertex that moves less is at rest."""
 Half = tuple[str, ...]
 Moved = tuple[Int64, Float32]
 """Vertices (n,), ascending, and how far each moves (n, 3)."""
@@ -523,7 +525,7 @@ class Head:
             pieces = [(ids, away)]
             for ids, moves in bent:
                 if t in moves:
-                    some = np.flatnonzero(moves[t].any(1))
+                    some = np.flatnonzero((np.abs(moves[t]) > ROUNDING).any(1))
                     pieces.append((ids[some], moves[t][some]))
             ids, away = summed(pieces)
             twin = np.searchsorted(ids, self._weld[seam]).clip(0, max(len(ids) - 1, 0))

@@ -245,11 +245,11 @@ def _add_mesh(
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
-    place = np.full(len(shapes.neutral.vertices), -1)
-    place[used] = np.arange(len(used))
-    moved = [(place[v], delta) for v, delta in shapes.moved(_STILL * mesh.size)]
-    if len(used) < len(place):
-        moved = [(v[v >= 0], delta[v >= 0]) for v, delta in moved]
+    moved = shapes.moved(_STILL * mesh.size)
+    if len(used) < len(shapes.neutral.vertices):
+        place = np.full(len(shapes.neutral.vertices), -1)
+        place[used] = np.arange(len(used))
+        moved = [(place[v][place[v] >= 0], delta[place[v] >= 0]) for v, delta in moved]
     moves, targets = np.zeros(len(used), bool), []
     for moving, _ in moved:
         moves[moving] = True

@@ -121,7 +121,7 @@ def _some(delta: Float32) -> tuple[Int64, Float32]:
 
 def _farther(vertices: Int64, moves: Float32, least: float) -> tuple[Int64, Float32]:
     is_far = np.einsum("vc,vc->v", moves, moves) > least**2
-    return vertices[is_far], moves[is_far]
+    return (vertices, moves) if is_far.all() else (vertices[is_far], moves[is_far])
 
 
 def check_shape_count(n_shapes: int, n_vertices: int) -> None:
