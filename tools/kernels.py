@@ -139,30 +139,42 @@ def _sort(
     downwards).
     """
     starts[:] = 0
-    for turn in range(2):
-        for f in range(len(faces)):
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            x, y = table[a, X], table[a, Y]
-            bx, by = table[b, X] - x, table[b, Y] - y
-            cx, cy = table[c, X] - x, table[c, Y] - y
-            area = bx * cy - by * cx
-            if area > F(-1e-6) and (f < one_sided or area < F(1e-6)):
-                continue
-            if x + max(bx, cx, F(0)) <= 0 or x + min(bx, cx, F(0)) >= samples.shape[1]:
-                continue
-            top, bottom = y + min(by, cy, F(0)), y + max(by, cy, F(0))
-            if bottom <= 0 or top >= height:
-                continue
-            first = int(max(top, F(0))) // len(samples)
-            for band in range(first, int(min(bottom, F(height - 1))) // len(samples) + 1):
-                if turn:
-                    listed[starts[band + 1]] = f
-                    starts[band + 1] += 1
-                else:
-                    starts[band + 2] += 1
-        if not turn:
-            for band in range(2, len(starts)):
-                starts[band] += starts[band - 1]
+    kept, count = listed[-len(faces) :], 0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x, y = table[a, X], table[a, Y]
+        bx, by = table[b, X] - x, table[b, Y] - y
+        cx, cy = table[c, X] - x, table[c, Y] - y
+        area = bx * cy - by * cx
+        if area > F(-1e-6) and (f < one_sided or area < F(1e-6)):
+            continue
+        if x + max(bx, cx, F(0)) <= 0 or x + min(bx, cx, F(0)) >= samples.shape[1]:
+            continue
+        first, last = _bands(table, a, b, c, height, len(samples))
+        for band in range(first, last):
+            starts[band + 2] += 1
+        if first < last:
+            kept[count] = f
+            count += 1
+    for band in range(2, len(starts)):
+        starts[band] += starts[band - 1]
+    for f in kept[:count]:
+        first, last = _bands(table, faces[f, 0], faces[f, 1], faces[f, 2], height, len(samples))
+        for band in range(first, last):
+            listed[starts[band + 1]] = f
+            starts[band + 1] += 1
+
+
+@kernel
+def _bands(table: Any, a: Any, b: Any, c: Any, height: Any, rows: Any) -> Any:
+    """First band of `rows` that a face touches, and the one after its last."""
+    top, bottom = (
+        min(table[a, Y], table[b, Y], table[c, Y]),
+        max(table[a, Y], table[b, Y], table[c, Y]),
+    )
+    if bottom <= 0 or top >= height:
+        return 0, 0
+    return int(max(top, F(0))) // rows, int(min(bottom, F(height - 1))) // rows + 1
 
 
 @kernel
@@ -391,13 +403,21 @@ def _find(
     for column in range(left, right):
         first = count
         x = 2 * column
-        one, two = samples[0, x] & _FACE, samples[0, x + 1] & _FACE
-        if one == two == samples[1, x] & _FACE == samples[1, x + 1] & _FACE:
+        a, b, c, d = samples[0, x], samples[0, x + 1], samples[1, x], samples[1, x + 1]
+        one, far = a & _FACE, _depth(a)
+        if one == b & _FACE == c & _FACE == d & _FACE:
             if one != _FACE:
-                far = _depth(samples[0, x])
                 _add(places, shown, columns, count, one, far, x, 2 * row, column, F(4))
                 count += 1
             continue
+        if max(b, c, d) < _EMPTY and a < _EMPTY:
+            apart = max(abs(_depth(b) - far), abs(_depth(c) - far), abs(_depth(d) - far))
+            piece = part[one]
+            is_one = piece == part[b & _FACE] == part[c & _FACE] == part[d & _FACE]
+            if apart <= step and is_one:
+                _add(places, shown, columns, count, one, far, x, 2 * row, column, F(4))
+                count += 1
+                continue
         for sample in range(4):
             sy, sx = sample // 2, 2 * column + sample % 2
             f, far = samples[sy, sx] & _FACE, _depth(samples[sy, sx])

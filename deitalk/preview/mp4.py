@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"preset": "superfast", "crf": "22"}),
+    ("libx264", {"preset": "superfast", "crf": "22", "x264-params": "b-adapt=0:scenecut=0"}),
     ("libopenh264", {}),
     ("h264_videotoolbox", {}),
     ("mpeg4", {}),

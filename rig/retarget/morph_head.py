@@ -1,8 +1,6 @@
 """The embedded head as one mesh with morph targets, of the board or ARKit, and one picture."""
 
-import zlib
 from functools import lru_cache
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +10,7 @@ from rig.controls import default_controls
 from rig.face import Head, build_head
 from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
+from rig.face.render.picture import png
 from rig.mesh.glb import Surface
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import STILL, BakedRig, bake, control_halves, face_correctives
@@ -35,7 +34,7 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
     """
     head = build_head(identity)
     neutral = TriMesh(head.mesh.vertices, head.mesh.faces)
-    return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
+    return bake(neutral, head.moved, default_controls(), correctives=face_correctives())
 
 
 @lru_cache(maxsize=1)
@@ -46,12 +45,13 @@ def shown_controls() -> frozenset[str]:
     shown = [driver for name, driver in halves.items() if name in head.motion.names]
     # Gaze and seals have no shape of their own: whether they move a face at rest.
     others = [driver for name, driver in halves.items() if name not in head.motion.names]
-    moved = head.pose(np.stack([driver.pose(controls) for driver in others])) - head.neutral
     least = STILL * TriMesh(head.neutral, head.mesh.faces).size
-    far = np.linalg.norm(moved, axis=-1).max(axis=1) > least
-    shown += [driver for driver, is_far in zip(others, far, strict=True) if is_far]
+    moved = head.moved(np.stack([driver.pose(controls) for driver in others]))
+    for driver, (_, away) in zip(others, moved, strict=True):
+        if np.linalg.norm(away, axis=1).max(initial=0.0) > least:
+            shown.append(driver)
     shown += [driver for _, driver in face_correctives()]
-    return frozenset(half.control for d in shown for group in d.groups for half in group)
+    return frozenset(name for driver in shown for name in driver.controls)
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08
@@ -76,23 +76,15 @@ def _shrunk(head: Head) -> "Image.Image":
     return picture.reduce(max(picture.width // PICTURE, 1))
 
 
-def _png(picture: "Image.Image") -> bytes:
-    stream = BytesIO()
-    picture.save(stream, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
-    return stream.getvalue()
-
-
 def textured(head: Head) -> tuple[Float64, Surface]:
     """Linear colours (V, 3) of a head under its textures, and the textures."""
-    from PIL import Image
-
     side = 64
     rough = np.full((side, side, 3), 255 * SKIN_ROUGHNESS, np.uint8)
     for kind, value in ((HAIR, HAIR_ROUGHNESS), (CLOTH, 0.9), (EYE, EYE_ROUGHNESS)):
         u, v = np.clip(side * head.mesh.uv[head.mesh.kind == kind], 0, side - 1).astype(int).T
         rough[v, u] = round(255 * value)
     return _hollow(head), Surface(
-        head.mesh.uv, _png(_shrunk(head)), _png(Image.fromarray(rough)), cutoff=0.5
+        head.mesh.uv, png(np.asarray(_shrunk(head))), png(rough), cutoff=0.5
     )
 
 
@@ -101,7 +93,6 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
 
     For formats whose materials cannot multiply a texture by vertex colours.
     """
-    from PIL import Image
     from scipy.ndimage import distance_transform_edt
 
     from rig.face.render.software import Screen, nearest_faces, planes
@@ -121,7 +112,7 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
     atlas = np.asarray(_shrunk(head))
     light = found[tuple(place)] * srgb_to_linear(atlas[..., :3] / 255)
     picture = np.round(255 * linear_to_srgb(np.clip(light, 0, 1))).astype(np.uint8)
-    return head.mesh.uv[head.mesh.faces], _png(Image.fromarray(np.dstack([picture, atlas[..., 3]])))
+    return head.mesh.uv[head.mesh.faces], png(np.dstack([picture, atlas[..., 3]]))
 
 
 def linear_to_srgb(light: AnyFloat) -> Float64:

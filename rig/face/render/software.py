@@ -77,7 +77,7 @@ def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any],
     """Room for a drawing in bands of rows: ends of their faces, faces, depth of tiles, samples."""
     bands = -(-height // rows)
     return (
-        np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
+        np.empty(bands + 2, np.int64), np.empty((bands + 1) * faces, np.uint32),
         np.empty((-(-rows // TILE), -(-width // TILE)), np.float32),
         np.empty((rows, -(-width // TILE) * TILE), np.int64),
     )  # fmt: skip
@@ -130,9 +130,11 @@ class Renderer:
         is_hair = np.isin(kind, (HAIR, FINE))
         group = np.where(kind == SKIN, 0, np.where(is_hair | (kind == CLOTH), 2, 1))
         hair = np.flatnonzero(is_hair)
-        group[hair[~_opaque(alpha, mesh.uv[mesh.faces[hair]])]] = 3
-        far_off = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces].max(1)
-        order = np.lexsort((np.where(group == 3, far_off, 0), group))  # soft ones from the front on
+        soft = hair[~_opaque(alpha, mesh.uv.T[:, mesh.faces[hair].T])]
+        group[soft] = 3
+        depth = np.zeros(len(group))  # soft ones from the front on
+        depth[soft] = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces[soft]].max(1)
+        order = np.lexsort((depth, group))
         self._faces = mesh.faces[order].astype(np.uint32)
         self._stops = np.bincount(group, minlength=4).cumsum()[:3]
         self._weld = mesh.weld.astype(np.uint32)
@@ -195,39 +197,54 @@ class Renderer:
 
 def _packed(picture: Picture) -> NDArray[np.uint32]:
     """Texels (A, A) of a picture of three or four channels, the first one lowest."""
-    four = np.zeros((*picture.shape[:2], 4), np.uint8)
-    four[..., : picture.shape[2]] = picture
-    return four.view("<u4")[..., 0]
+    four = picture
+    if picture.shape[2] < 4:
+        four = np.zeros((*picture.shape[:2], 4), np.uint8)
+        four[..., :3] = picture
+    return np.ascontiguousarray(four).view("<u4")[..., 0]
 
 
 def _neighbours(alpha: Picture) -> NDArray[np.uint32]:
     """Bytes of the four texels round each corner of texels, row by row."""
-    edged = np.pad(alpha, 1, mode="edge").astype(np.uint32)
+    edged = np.pad(alpha, 1, mode="edge")
     upper, lower = edged[:-1], edged[1:]
-    return np.asarray(upper[:, :-1] | upper[:, 1:] << 8 | lower[:, :-1] << 16 | lower[:, 1:] << 24)
+    four = np.empty((len(upper), len(upper), 4), np.uint8)
+    for k, corner in enumerate((upper[:, :-1], upper[:, 1:], lower[:, :-1], lower[:, 1:])):
+        four[..., k] = corner
+    return four.view("<u4")[..., 0]
 
 
 def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
-    """Which faces, with corners (N, 3, 2) in a picture, cover all their samples."""
+    """Which faces, with corners (2, 3, N) in a picture, cover all their samples."""
     side = len(alpha)
     low = np.clip(np.floor(uv.min(1) * side - 0.5), 0, side - 1).astype(np.int64)
     high = np.clip(np.floor(uv.max(1) * side + 0.5), 0, side - 1).astype(np.int64) + 1
-    holes = np.zeros((side + 1, side + 1), np.int32)  # above and left of each corner of texels
-    holes[1:, 1:] = (alpha <= MOST_ALPHA).cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32)
-    (left, top), (right, bottom) = low.T, high.T
+    if not low.size:
+        return np.zeros(0, bool)
+    start = low.min(1)
+    (left, top), (right, bottom) = low - start[:, None], high - start[:, None]
+    part = alpha[start[1] :, start[0] :][: bottom.max(), : right.max()]
+    holes = np.zeros((len(part) + 1, part.shape[1] + 1), np.int32)  # above and left of each corner
+    holes[1:, 1:] = (part <= MOST_ALPHA).cumsum(1, dtype=np.int32).cumsum(0, dtype=np.int32)
     found = holes[bottom, right] - holes[top, right] - holes[bottom, left] + holes[top, left]
     return np.asarray(found == 0)
 
 
 def _parts(mesh: Mesh) -> Int32:
     """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], np.zeros(0, np.int64)
-    while not np.array_equal(label, before):
-        before, names = label.copy(), label[corners]
+    is_hair = np.isin(mesh.kind, (HAIR, FINE))
+    label = mesh.weld.astype(np.int32)
+    corners = mesh.faces[~is_hair[mesh.faces[:, 0]]].T
+    while True:
+        names = label[corners]
+        apart = (names != names[0]).any(0)
+        if not apart.any():
+            break
+        corners, names = corners[:, apart], names[:, apart]
         np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
         while not np.array_equal(label, label[label]):
             label = label[label]
-    return np.where(np.isin(mesh.kind, (HAIR, FINE)), -1, label[mesh.weld]).astype(np.int32)
+    return np.where(is_hair, np.int32(-1), label[mesh.weld])
 
 
 TEXELS_PER_CM = 28.0

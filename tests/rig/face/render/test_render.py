@@ -1,6 +1,7 @@
 """Pictures: light and edges as of OpenGL, sheets, letters and PNG."""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rig.face import IDENTITIES, build_head
 from rig.face.accents import accents
 from rig.face.mesh import FINE, HAIR, Mesh
 from rig.face.render import VIEWS, View
-from rig.face.render.picture import text_width, write_png, write_text
+from rig.face.render.picture import png, text_width, write_png, write_text
 from rig.face.render.shading import background, glsl
 from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 
@@ -270,6 +271,13 @@ def test_sheet_places_tiles_row_by_row(head):
     assert picture.shape == (96, 128, 3)
     assert not picture[48:, 64:].any()  # the fourth place is empty
     assert (picture[:48, :64] != picture[48:, :64]).any()
+
+
+def test_png_with_alpha_holds_the_picture_unchanged(rng):
+    picture = rng.integers(0, 256, (5, 7, 4)).astype(np.uint8)
+    with Image.open(BytesIO(png(picture))) as read:
+        assert read.mode == "RGBA"
+        np.testing.assert_array_equal(np.asarray(read), picture)
 
 
 def test_png_holds_the_picture_unchanged(rng, tmp_path):
