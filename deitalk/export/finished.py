@@ -26,7 +26,8 @@ from deitalk.postprocess.factors import (
     mean_around,
     opening_factor,
 )
-from deitalk.postprocess.feeling import felt_intensity, gates_of, voice_intensity
+from deitalk.postprocess.feeling import felt_intensity, voice_intensity
+from deitalk.postprocess.gates import gates_of
 from deitalk.postprocess.torch_columns import constant
 from deitalk.postprocess.tracks import VoiceTracks, rest_rows
 

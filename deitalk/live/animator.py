@@ -30,8 +30,9 @@ from deitalk.models.protocol import (
 from deitalk.postprocess.factors import expression_scale, held_intensity
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.motion import Character, MotionStreams
-from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
+from deitalk.postprocess.life.voice import PAUSE, Cues
 from deitalk.postprocess.tracks import GATES, VoiceTracks, shown_columns
 from deitalk.postprocess.variants import habit_factors, show_habits
 from rig.arrays import Bool, Float32, Int64

@@ -48,9 +48,10 @@ from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.breath import draw_breaths
+from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.life.motion import Character, Motion, Moved, plan_motions
 from deitalk.postprocess.life.other import OtherVoice
-from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
+from deitalk.postprocess.life.voice import measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import (
     choose_ways,

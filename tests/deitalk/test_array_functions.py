@@ -15,7 +15,8 @@ from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.models.protocol import SpectraGrid
 from deitalk.pipeline.speech import phrase_strengths
 from deitalk.postprocess.factors import mean_around, opening_factor
-from deitalk.postprocess.feeling import gates_of, voice_intensity
+from deitalk.postprocess.feeling import voice_intensity
+from deitalk.postprocess.gates import gates_of
 from tests.deitalk.audio.test_prosody import voice
 
 RNG = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from deitalk.live.activity import MOST_STEP, RunningActivity
 from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
 from deitalk.models.protocol import SpectraGrid, put, take
-from deitalk.postprocess.feeling import expression_share
+from deitalk.postprocess.gates import expression_share
 
 BANDS = len(BAND_EDGES_HZ) - 1
 GRIDS = {"live": SpectraGrid(3, 400, 3), "small": SpectraGrid(3, 400, 2, 1, 0)}

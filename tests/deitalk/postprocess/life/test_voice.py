@@ -5,7 +5,8 @@ import pytest
 
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.life.voice import ACCENT_DISTANCE, ASYMMETRY, Seeds, Traits, measure_voice
+from deitalk.postprocess.life.character import ASYMMETRY, Seeds, Traits
+from deitalk.postprocess.life.voice import ACCENT_DISTANCE, measure_voice
 
 
 def buzz(pitch, level):
