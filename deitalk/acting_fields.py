@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from deitalk.emotions import ActorReference as ActorReference
     from deitalk.emotions import EmotionTrack as EmotionTrack
     from deitalk.emotions import IntensityCurve as IntensityCurve
-    from deitalk.postprocess.joins import Edge as Edge
+    from deitalk.postprocess.edges import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
     from deitalk.postprocess.life.other import OtherVoice as OtherVoice
     from rig.curves.layers import Layer as Layer
@@ -204,7 +204,7 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
 
 def read_edge(given: Any, info: ValidationInfo) -> Edge:
     """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
-    from deitalk.postprocess.joins import edge_of
+    from deitalk.postprocess.edges import edge_of
 
     if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
         given = _file(str(given).strip(), _files(info), DataError)

@@ -69,7 +69,7 @@ class Outcome:
     warnings: tuple[str, ...] = ()
     voice: MeasuredVoice | None = None
     edges: tuple[str, str] | None = None
-    """First and last edge of the take (`deitalk.postprocess.joins.Edge`), where they are wanted."""
+    """First and last edge of the take (`deitalk.postprocess.edges.Edge`), where they are wanted."""
     stage: str = ""
     targets: tuple[Target, ...] = ()
     files: tuple[File, ...] = ()

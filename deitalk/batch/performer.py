@@ -147,7 +147,7 @@ class Performer:
     ) -> Outcome:
         from deitalk.audio.original import start_of
         from deitalk.pipeline.curves import finish
-        from deitalk.postprocess.joins import edge_of
+        from deitalk.postprocess.edges import edge_of
 
         if performance is None:
             performance = finish(prepared, prepared.read())

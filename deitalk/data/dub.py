@@ -33,7 +33,7 @@ from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
-from deitalk.postprocess.joins import TAKE_CURVES, TAKE_SOUND, opened_take
+from deitalk.postprocess.edges import TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID

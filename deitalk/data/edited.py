@@ -19,7 +19,7 @@ from deitalk.data.captures.take import CapturedCurves, kind_of, read_capture
 from deitalk.errors import DataError
 from deitalk.pipeline.performance import DELAY
 from deitalk.postprocess.control_groups import ControlGroups
-from deitalk.postprocess.joins import HANDLES, TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
+from deitalk.postprocess.edges import HANDLES, TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import Control, ControlSet, RigCurves, default_controls, read_curves, write_curves
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, N_SHAPES, arkit_controls

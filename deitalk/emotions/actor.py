@@ -32,7 +32,7 @@ TRAITS = {
     "avoids": (-1.0, 1.0),
     "own": (0.0, 1.0),
 }
-"""Names and ranges of the traits, see `deitalk.postprocess.life.voice.Traits`."""
+"""Names and ranges of the traits, see `deitalk.postprocess.life.character.Traits`."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Voice activity and gates of voices that have not ended.
 
 The causal form of `deitalk.audio.voice_activity.speech_activity` and of the gates in
-`deitalk.postprocess.feeling`: the noise floor is of the last 12 s, and a frame depends on
+`deitalk.postprocess.gates`: the noise floor is of the last 12 s, and a frame depends on
 a few frames after it, in which the expression begins to rise before speech.
 
 Streams are side by side, and the caller keeps their state. All functions take arrays or tensors.
@@ -39,7 +39,7 @@ from deitalk.audio.voice_activity import (
     longest_gap,
 )
 from deitalk.config.rules import Gates
-from deitalk.postprocess.feeling import expression_after, mouth_between
+from deitalk.postprocess.gates import expression_after, mouth_between
 
 MOST_STEP = 1 / 6
 """Most by which the share of the expression changes in a frame: 0.2 s from none to all."""

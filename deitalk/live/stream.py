@@ -14,9 +14,10 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import EmotionTrack
 from deitalk.models.protocol import SpectraGrid
-from deitalk.postprocess.feeling import fade
-from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
-from deitalk.postprocess.life.voice import Seeds, Traits
+from deitalk.postprocess.edges import Edge
+from deitalk.postprocess.gates import fade
+from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Passage
+from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Float32, Int64

@@ -15,7 +15,7 @@ from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
 from deitalk.pipeline.speech import Speech
-from deitalk.postprocess.life.voice import Seeds, Traits
+from deitalk.postprocess.life.character import Seeds, Traits
 
 
 class MeasuredVoice(NamedTuple):

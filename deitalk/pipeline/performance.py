@@ -34,7 +34,7 @@ from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
 from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
-from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
+from deitalk.postprocess.edges import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
@@ -99,7 +99,7 @@ class Performance:
     suggestion : mapping of str to float, or None
         Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
     traits : mapping of str to float
-        Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
+        Of the character (`deitalk.postprocess.life.character.Traits`); takes that follow keep them.
     marks : tuple of TimedMark
         What a script says of the words, with their times: emotions, accents, sounds.
     edited : deitalk.pipeline.layers.Edited or None

@@ -30,13 +30,8 @@ from deitalk.audio.voice_activity import (
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.factors import expression_scale
-from deitalk.postprocess.feeling import (
-    Phrases,
-    expression_share,
-    felt_intensity,
-    mouth_gate,
-    voice_intensity,
-)
+from deitalk.postprocess.feeling import Phrases, felt_intensity, voice_intensity
+from deitalk.postprocess.gates import expression_share, mouth_gate
 from rig.arrays import Float32, Float64
 
 EFFORT_SHARE, EFFORT_FRAMES = 0.7, 15.0

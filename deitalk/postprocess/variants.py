@@ -21,7 +21,7 @@ import numpy as np
 from deitalk.config.rules import Expressions
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
-from deitalk.postprocess.life.voice import Traits
+from deitalk.postprocess.life.character import Traits
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS

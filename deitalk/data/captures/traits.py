@@ -11,7 +11,8 @@ from deitalk.audio.frames import runs
 from deitalk.config.rules import Idle
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.emotions.actor import TRAITS
-from deitalk.postprocess.life.eyes import LEAST_INTERVAL, SIDE_DEGREES
+from deitalk.postprocess.life.blinks import LEAST_INTERVAL
+from deitalk.postprocess.life.gaze import SIDE_DEGREES
 from rig import RigCurves
 from rig.arrays import Float32, Float64
 from rig.curves.filters import gaussian_smooth

@@ -1,4 +1,4 @@
-"""Turn and shift of the head, and the neck, on the voice and while another one speaks.
+"""Turn and shift of the head on the voice and while another one speaks.
 
 - Nods on stressed syllables, deeper where level and pitch are high (Hadar et al. 1983; Munhall et
   al. 2004; Graf et al. 2002), lowering at the end of a phrase and a raise before the next one
@@ -31,38 +31,18 @@ from deitalk.postprocess.life.draws import (
     smooth_noise,
     uniforms,
 )
+from deitalk.postprocess.life.neck import (
+    INHALE,
+    INHALE_LEAD,
+    INHALE_SECONDS,
+    LEAST_WAIT,
+    SWALLOW,
+    SWALLOW_EVERY,
+    SWALLOW_PAUSE,
+)
 from deitalk.postprocess.life.voice import END, LISTENING_SECONDS, PAUSE, START, STRESS, Cues
 from rig.arrays import Float32, Float64, Int64
 from rig.curves import HEAD
-
-# Neck: breath before phrases (.3 to .6 s: Winkworth et al. 1995), swallowing about once a minute in
-# pauses (Lear et al. 1965; it takes a second: Logemann 1998), the muscle that turns the head
-# (Bexander et al. 2005). Amounts are set by eye: no data here measures a neck.
-
-INHALE = 0.35
-INHALE_SECONDS, INHALE_LEAD = (0.45, 0.0, 0.35), 0.08
-"""Rise, top and fall; the top is so long before the phrase."""
-SWALLOW_EVERY, LEAST_WAIT = 60.0, 5.0
-"""Mean and shortest time between two swallows, seconds."""
-SWALLOW_PAUSE = 1.2
-SWALLOW = (0.45, 0.15, 0.4)
-"""Rise, top and fall of a swallow, seconds."""
-FREE_DEGREES, FULL_DEGREES = 2.0, 40.0
-"""Yaw from which a turning muscle shows, and what it takes more to contract in full."""
-
-BREATH_CONTROL, SWALLOW_CONTROL = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_neck_swallow.ty"
-TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
-
-
-def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> Float64:
-    """Tracks of `BREATH_CONTROL`, `SWALLOW_CONTROL` and `TURNS` [shape=(..., 4), range 0 to 1].
-
-    Of breath and swallowing (range 0 to 1) and of the head's turn in degrees [shape=(...,)].
-    """
-    turns = np.clip((np.abs(yaw) - FREE_DEGREES) / FULL_DEGREES, 0, 1)
-    rows = breath, swallows, turns * (yaw > 0), turns * (yaw < 0)
-    return np.clip(np.stack(rows, axis=-1), 0, 1).astype(np.float64)
-
 
 NODS = (0.26, 1.8, 0.26)
 """Turn of a full nod, degrees: its pitch, and the standard deviation of its yaw and roll."""

@@ -18,11 +18,14 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.blinks import Blinks
+from deitalk.postprocess.life.character import PARTS, Seeds, Traits
 from deitalk.postprocess.life.draws import followed
-from deitalk.postprocess.life.eyes import Blinks, Gaze
 from deitalk.postprocess.life.face import MIRROR, Face
-from deitalk.postprocess.life.head import BREATH, POSTURE_SECONDS, SWALLOWS, Head, neck_tracks
-from deitalk.postprocess.life.voice import PARTS, PAUSE, Cues, Seeds, Traits, Voice
+from deitalk.postprocess.life.gaze import Gaze
+from deitalk.postprocess.life.head import BREATH, POSTURE_SECONDS, SWALLOWS, Head
+from deitalk.postprocess.life.neck import neck_tracks
+from deitalk.postprocess.life.voice import PAUSE, Cues, Voice
 from deitalk.postprocess.tracks import MotionTracks
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves import HEAD

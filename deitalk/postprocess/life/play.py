@@ -10,19 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.emotions import by_emotion
-from deitalk.postprocess.life.eyes import DOWN_DEGREES, LID_SHARE, SIDE_DEGREES, UP_DEGREES
 from deitalk.postprocess.life.face import ACCENTS, HELD, STEMS, UPPER
-from deitalk.postprocess.life.head import BREATH_CONTROL, SWALLOW_CONTROL, TURNS
+from deitalk.postprocess.life.gaze import DOWN_DEGREES, LID_SHARE, SIDE_DEGREES, UP_DEGREES
+from deitalk.postprocess.life.neck import BREATH_CONTROL, SWALLOW_CONTROL, TURNS
 from deitalk.postprocess.torch_columns import Columns, constant
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from rig import ControlSet
-
-# Left and right of the mouth: no face speaks or smiles evenly.
-#
-# Speech leans to the character's side, an expression further, and from event to event with the
-# brows. `LEANS` are of the size of six Live Link takes, medians of the difference of the sides
-# over their mean: smiles .03 to .20, corners pulled down .09 to .46, stretch .02 to .31, parted
-# lips .01 to .08; a character's `side` is .10 to .15.
 
 LEANS = {
     "mouth_cornerPull": 0.7,
@@ -35,7 +28,13 @@ LEANS = {
     "nose": 1.0,
     "nose_nasolabialDeepen": 0.8,
 }
-"""Factor on the character's side, by control; of the nose the wrinkle, as lips are sneered."""
+"""Factor on the character's side, by control; of the nose the wrinkle, as lips are sneered.
+
+Speech leans to the character's side, an expression further, and from event to event with the brows.
+The factors are of the size of six Live Link takes, medians of the difference of the sides over
+their mean: smiles .03 to .20, corners pulled down .09 to .46, stretch .02 to .31, parted lips .01
+to .08; a character's `side` is .10 to .15.
+"""
 SPOKEN = 0.5
 """Share of it in the neutral reading."""
 EVENT = 0.4

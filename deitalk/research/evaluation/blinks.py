@@ -4,7 +4,7 @@ The motion of each recording is drawn as for a neutral take of a nameless actor.
 how many takes there are and how many different ones (lids and gaze), blinks a minute, their
 intervals (median and 5th to 95th percentile), how long full blinks are more than half closed, and
 the share that begins within `NEAR_SECONDS` of the end of a phrase, beside the share of all times
-that lies there (chance). Published human ranges are in `deitalk.postprocess.life.eyes`.
+that lies there (chance). Published human ranges are in `deitalk.postprocess.life.blinks`.
 
 Letters: T frames at 30 per second.
 """
@@ -23,8 +23,9 @@ from deitalk.emotions import LABELS
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.voice import Seeds, measure_voice
+from deitalk.postprocess.life.voice import measure_voice
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.recordings import AUDIO_SUFFIXES
 from deitalk.research.evaluation.report import write_json

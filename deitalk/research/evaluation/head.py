@@ -32,8 +32,9 @@ from deitalk.emotions import LABELS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Traits, Voice, measure_voice
+from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods

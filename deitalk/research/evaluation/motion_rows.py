@@ -63,7 +63,7 @@ from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, emotion_map
-from deitalk.postprocess.life.eyes import SIDE_DEGREES
+from deitalk.postprocess.life.gaze import SIDE_DEGREES
 from deitalk.postprocess.life.voice import measure_voice
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import EMOTIONS as ASKED

@@ -11,7 +11,7 @@ from deitalk.batch.manifest import read_manifest
 from deitalk.batch.source import distinct, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError
-from deitalk.postprocess.joins import Edge
+from deitalk.postprocess.edges import Edge
 from deitalk.postprocess.life.other import OtherVoice
 
 NOTHING = Line(0, "", "")

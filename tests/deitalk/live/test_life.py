@@ -7,9 +7,10 @@ from deitalk.emotions import LABELS
 from deitalk.live.cues import RunningCues
 from deitalk.live.intensity import Measures
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.face import STEMS
 from deitalk.postprocess.life.motion import Character, MotionStreams
-from deitalk.postprocess.life.voice import ACCENT, END, PAUSE, SPEECH, START, STRESS, Cues, Seeds
+from deitalk.postprocess.life.voice import ACCENT, END, PAUSE, SPEECH, START, STRESS, Cues
 from deitalk.postprocess.tracks import MotionTracks
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages

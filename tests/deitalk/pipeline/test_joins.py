@@ -15,7 +15,8 @@ from deitalk.errors import DataError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
-from deitalk.postprocess.joins import HEAD_FRAMES, LONGEST_QUIET, Edge, edge_of, lead
+from deitalk.postprocess.edges import LONGEST_QUIET, Edge, edge_of
+from deitalk.postprocess.joins import HEAD_FRAMES, lead
 from rig import RigCurves, default_controls
 from rig.errors import UserError
 from tests.deitalk.pipeline.test_curves import SMALL, recording

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import Gates
-from deitalk.postprocess.feeling import expression_share, mouth_gate
+from deitalk.postprocess.gates import expression_share, mouth_gate
 from tests.deitalk.audio.test_voice_activity import placed
 
 REST = 0.5

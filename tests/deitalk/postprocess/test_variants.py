@@ -14,7 +14,7 @@ from deitalk.config.rules import Expressions
 from deitalk.emotions.variants import EMOTION_OF
 from deitalk.errors import EmotionError
 from deitalk.live.animator import LiveAnimator
-from deitalk.postprocess.life.voice import Seeds, Traits
+from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.variants import (
     COLUMNS,
     HABITS,

@@ -3,20 +3,10 @@
 import numpy as np
 import pytest
 
-from deitalk.postprocess.life.eyes import (
-    AVERSION_DEGREES,
-    AVERSION_SECONDS,
-    BEGIN,
-    CLOSES,
-    DEPTH,
-    OPENS,
-    Blinks,
-    Gaze,
-    blink_ends,
-    closure,
-    vergence,
-)
-from deitalk.postprocess.life.voice import Phrase, Seeds, Voice
+from deitalk.postprocess.life.blinks import BEGIN, CLOSES, DEPTH, OPENS, Blinks, blink_ends, closure
+from deitalk.postprocess.life.character import Seeds
+from deitalk.postprocess.life.gaze import AVERSION_DEGREES, AVERSION_SECONDS, Gaze, vergence
+from deitalk.postprocess.life.voice import Phrase, Voice
 
 MINUTES = 20
 ONE, FIRST = np.arange(1), np.zeros(1, int)

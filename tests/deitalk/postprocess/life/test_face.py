@@ -10,9 +10,10 @@ from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.face import STEMS, Face, FaceTracks
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Voice, measure_voice
+from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from deitalk.research.evaluation.prominence import find_syllables
 from rig import RigCurves, default_controls

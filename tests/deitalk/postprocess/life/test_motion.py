@@ -8,28 +8,14 @@ import pytest
 from deitalk.emotions import EMOTIONS, LABELS
 from deitalk.errors import DeitalkError
 from deitalk.postprocess.life.amounts import Life, place_of
+from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.life.draws import uniforms
 from deitalk.postprocess.life.face import STEMS
-from deitalk.postprocess.life.head import (
-    BREATH_CONTROL,
-    MOST_ASIDE,
-    NOD_SECONDS,
-    NOD_SPEED,
-    SWALLOW_CONTROL,
-    TURN,
-    TURNS,
-    Head,
-    draw_nods,
-)
+from deitalk.postprocess.life.head import MOST_ASIDE, NOD_SECONDS, NOD_SPEED, TURN, Head, draw_nods
 from deitalk.postprocess.life.motion import Character, Moved, plan_motion, plan_motions
+from deitalk.postprocess.life.neck import BREATH_CONTROL, SWALLOW_CONTROL, TURNS
 from deitalk.postprocess.life.play import LOWER_LID
-from deitalk.postprocess.life.voice import (
-    Accent,
-    Phrase,
-    Seeds,
-    Traits,
-    Voice,
-)
+from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls

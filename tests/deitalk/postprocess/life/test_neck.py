@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.head import neck_tracks
+from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.voice import Phrase, Seeds, Voice
+from deitalk.postprocess.life.neck import neck_tracks
+from deitalk.postprocess.life.voice import Phrase, Voice
 
 N_FRAMES = 900
 BREATH, SWALLOW, TURNS = 0, 1, (2, 3)
