@@ -541,15 +541,16 @@ def _paint(
     if has_eye > F(0):
         for i in range(count):
             if places[KIND + i] == _EYE:
+                wet = min(max(F(2.4) - F(4.5) * places[BLUE + i], F(0.2)), F(1))
+                wet *= F(1) - F(0.6) * places[ACCENT + i]
                 for k in range(3):
                     paint = places[RED + k * PLACES + i]
                     lit = F(1) - _UNDER_LID[k] * places[ACCENT + i]
                     places[RED + k * PLACES + i] = paint * lit * (F(1) + _IRIS * (F(1) - paint))
                 places[STRAND + i] = F(0)
-                places[WINDOW + i] = _window(
+                places[WINDOW + i] = wet * _window(
                     places[NX + i], places[NY + i], places[NZ + i], places[TO_EYE + i],
                     places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i],
-                    places[ACCENT + i],
                 )  # fmt: skip
 
 
@@ -569,16 +570,15 @@ def _crease(count: Any, creases: Any, places: Any) -> None:
 
 
 @kernel
-def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -> Any:
-    """Reflections of a window and of the sky on a wet eye, less in the shadow of lids."""
+def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
+    """Reflections of a window and of the sky on a wet eye."""
     facing = F(2) * (nx * vx + ny * vy + nz * vz)
     x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
     turn = -_WINDOW_TURN * vx
     cx, cy, cz = _unit(_CATCH[0] + turn, _CATCH[1], _CATCH[2])
     glow = _limited((x * cx + y * cy + z * cz - F(0.974)) / F(0.02))
     glow = glow * glow * (F(3) - F(2) * glow)
-    sky = F(0.03) * _limited(y + F(0.3))
-    return (F(0.95) * glow * glow + sky) * (F(1) - F(0.6) * accent)
+    return F(0.95) * glow * glow + F(0.03) * _limited(y + F(0.3))
 
 
 @kernel

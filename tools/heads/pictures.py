@@ -145,7 +145,7 @@ def skin(base, person):
     fine *= 1 - 0.9 * brows[..., None]
     kept = drawn[..., None]
     painted = colour - plain
-    painted = np.minimum(painted, 0.02 + 0.25 * np.maximum(painted, 0))  # no lights on lids
+    painted = np.minimum(painted, 0.1 * np.maximum(painted, 0))  # no lights
     colour = plain + kept * painted + (0.9 * (1 - kept) + 0.45 * kept) * fine
     for *where, tint in ZONES:
         share = look["flush"] * _zone(place, *where) * (1 - lips)

@@ -45,7 +45,7 @@ MIX = {
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
     "nose.ty": ("noseSneer_@:.7", ""),
-    "eye.ty": ("eyeLookUp_@:1", "eyeLookDown_@:1"),
+    "eye.ty": ("eyeLookUp_@:1.2", "eyeLookDown_@:1.5"),
     "mouth_dimple.ty": ("mouthDimple_@:.3", ""),
     "mouth_cornerDepress.ty": ("mouthFrown_@:.5", ""),
 }
@@ -56,7 +56,7 @@ LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
-_BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.16),
+_BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
          ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
 

@@ -56,7 +56,7 @@ VIEWS = {
 
 LIGHTS = (
     # direction to the light, colour times strength
-    ((-0.52, 0.55, 0.70), (1.36, 1.26, 1.14)),
+    ((-0.52, 0.55, 0.70), (1.31, 1.21, 1.09)),
     ((0.80, 0.05, 0.60), (0.22, 0.25, 0.31)),
     ((0.62, 0.42, -0.72), (0.75, 0.85, 1.00)),
 )
@@ -157,7 +157,7 @@ void main() {{
   if (!thin && !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
-  float shade = 1.0, strand = 1.0, gloss = paint_.a;
+  float shade = 1.0, strand = 1.0, wet = 0.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
@@ -168,7 +168,8 @@ void main() {{
     shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
   else if (kind == {EYE}) {{
-    strand = 0.0;  // it mirrors a window alone
+    strand = 0.0;  // it mirrors a window alone, the white less
+    wet = clamp(2.4 - 4.5 * albedo.b, 0.2, 1.0) * (1.0 - 0.6 * accent_);
     albedo *= (1.0 - accent_ * {_vec(UNDER_LID)}) * (1.0 + {IRIS} * (1.0 - albedo));
   }}
   if (kind <= {SKIN}) {{  // inside the mouth
@@ -186,7 +187,7 @@ void main() {{
     vec3 mirror = 2.0 * facing * n - v;
     vec3 window = normalize({_vec(CATCH)} - vec3({WINDOW_TURN} * v.x, 0.0, 0.0));
     float glow = smoothstep(0.974, 0.994, dot(mirror, window));
-    shine += (0.95 * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * (1.0 - 0.6 * accent_);
+    shine += (0.95 * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * wet;
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
   linear = sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0));
