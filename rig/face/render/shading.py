@@ -57,7 +57,7 @@ VIEWS = {
 LIGHTS = (
     # direction to the light, colour times strength
     ((-0.52, 0.55, 0.70), (1.31, 1.21, 1.09)),
-    ((0.80, 0.05, 0.60), (0.22, 0.25, 0.31)),
+    ((0.80, 0.05, 0.60), (0.30, 0.33, 0.39)),
     ((0.62, 0.42, -0.72), (0.75, 0.85, 1.00)),
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
