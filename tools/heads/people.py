@@ -7,11 +7,11 @@ head (``around``, degrees) and from the parting (``part``) they are rooted. ``in
 thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
 ``tips``, shares of their length, and begin up to ``starts`` of it late; they are ``thick`` (least,
 greatest) texels and ``gather`` to the middles of ``locks`` in a card, which is ``narrow`` at its
-root. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
+root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
 ``roots`` how far the drawn roots lie before the hairline, which is ``soft`` over so many cm and
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
-Of the skin ``flush`` is how much blood colours zones of the face, ``mottle`` the strength of its
+Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
 noise and ``flesh`` the colour of the corners of the eyes. ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are.
 """
