@@ -30,8 +30,8 @@ _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
 _WRAP = shading.WRAPS.astype(F)
 _SLOPE = 1 / (1 + _WRAP)
 _DEEP, _GLOW = np.array(shading.DEEP, F), np.array(shading.GLOW, F)
-_DIM, _UNDER_LID = F(shading.DIM), F(shading.UNDER_LID)
-_CATCH, _LOW = shading.CATCH.astype(F), shading.LOW.astype(F)
+_DIM, _UNDER_LID = F(shading.DIM), np.array(shading.UNDER_LID, F)
+_CATCH = shading.CATCH.astype(F)
 _CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
@@ -381,12 +381,13 @@ def _color(
             _light(whole, places)
         i = 0
         for column in range(left, right):
-            red, green, blue = empty[0], empty[1], empty[2]
+            bare = empty[column]
+            red, green, blue = bare[0], bare[1], bare[2]
             while i < count and columns[i] == column:
                 share = F(0.25) * places[SHARE + i]
-                red += share * (places[RED + i] - empty[0])
-                green += share * (places[GREEN + i] - empty[1])
-                blue += share * (places[BLUE + i] - empty[2])
+                red += share * (places[RED + i] - bare[0])
+                green += share * (places[GREEN + i] - bare[1])
+                blue += share * (places[BLUE + i] - bare[2])
                 i += 1
             picture[column, 0] = int(red * F(255) + F(0.5))
             picture[column, 1] = int(green * F(255) + F(0.5))
@@ -560,14 +561,16 @@ def _paint(
     if has_eye > F(0):
         for i in range(count):
             if places[KIND + i] == _EYE:
+                wet = min(max(F(2.4) - F(4.5) * places[BLUE + i], F(0.2)), F(1))
+                wet *= F(1) - F(0.6) * places[ACCENT + i]
                 for k in range(3):
                     paint = places[RED + k * PLACES + i]
-                    lit = F(1) - _UNDER_LID * places[ACCENT + i]
+                    lit = F(1) - _UNDER_LID[k] * places[ACCENT + i]
                     places[RED + k * PLACES + i] = paint * lit * (F(1) + _IRIS * (F(1) - paint))
-                places[WINDOW + i] = _window(
+                places[STRAND + i] = F(0)
+                places[WINDOW + i] = wet * _window(
                     places[NX + i], places[NY + i], places[NZ + i], places[TO_EYE + i],
                     places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i],
-                    places[ACCENT + i],
                 )  # fmt: skip
 
 
@@ -587,18 +590,15 @@ def _crease(count: Any, creases: Any, places: Any) -> None:
 
 
 @kernel
-def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -> Any:
-    """Reflections of a window, high and under a lid, and of the sky on a wet eye."""
+def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
+    """Reflections of a window and of the sky on a wet eye."""
     facing = F(2) * (nx * vx + ny * vy + nz * vz)
     x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
     turn = -_WINDOW_TURN * vx
     cx, cy, cz = _unit(_CATCH[0] + turn, _CATCH[1], _CATCH[2])
-    lx, ly, lz = _unit(_LOW[0] + turn, _LOW[1], _LOW[2])
-    glow = _limited((x * cx + y * cy + z * cz - F(0.976)) / F(0.008))
-    low = _limited((x * lx + y * ly + z * lz - F(0.980)) / F(0.008))
-    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.9) - accent))
-    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(6) * (accent - F(0.07)))
-    return max(glow, low) + F(0.02) * _limited(y)
+    glow = _limited((x * cx + y * cy + z * cz - F(0.974)) / F(0.02))
+    glow = glow * glow * (F(3) - F(2) * glow)
+    return F(0.95) * glow * glow + F(0.03) * _limited(y + F(0.3))
 
 
 @kernel

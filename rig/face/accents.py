@@ -11,11 +11,13 @@ from rig.arrays import AnyFloat, Float32, Float64
 from rig.face.head import Head
 from rig.face.mesh import smoothstep
 
-REGIONS = ("forehead", "glabella", "eye", "nasolabial")
-LEAST = (0.02, 0.015, 0.04, 0.10)
+REGIONS = ("forehead", "temple", "glabella", "eye", "nasolabial")
+LEAST = (0.02, 0.02, 0.015, 0.04, 0.10)
 """Depth of each region at rest, the same on both sides."""
-SHADOW_RADIANS, SHADOW = 0.42, 0.85
+SHADOW_RADIANS, SHADOW = 0.37, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
+CORNER_BEGIN, CORNER = 0.45, 0.6
+"""Where the shadow of an eye's corners begins, of the way to them, and its depth there."""
 
 MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.3, 0.9, 1.2, 4.2)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
@@ -52,7 +54,8 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     for k, side in enumerate("LR"):
         if not len(head.lid_rims[k]):
             continue
-        # Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid.
+        # Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid,
+        # and how near to a corner of the eye.
         center = head.eyes[k, :3]
         lid = poses[:, head.lid_rims[k]] - center
         ball = poses[:, head.slices[f"eye_{side}"]] - center
@@ -61,6 +64,9 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
             [np.interp(b, a, h) for b, a, h in zip(ball[..., 0], lid[..., 0], high, strict=True)]
         )
         shadow = SHADOW * smoothstep(1 - (edge - angle) / SHADOW_RADIANS)
+        inner, outer = lid[:, :1, 0], lid[:, -1:, 0]
+        aside = np.abs(2 * ball[..., 0] - inner - outer) / (outer - inner)
+        shadow += (1 - shadow) * CORNER * smoothstep((aside - CORNER_BEGIN) / (1 - CORNER_BEGIN))
         found[:, head.slices[f"eye_{side}"]] = np.asarray(shadow * (ball[..., 2] > 0), np.float32)
     return found
 

@@ -317,7 +317,7 @@ class Head:
         Turn of each eye inwards at rest, degrees.
     landmarks : dict of str to int
         The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage; none of a user's head.
-    creases : ndarray [shape=(8, V of the skin)]
+    creases : ndarray [shape=(10, V of the skin)]
         Share of each region's depth that the skin takes; left regions first.
     """
 

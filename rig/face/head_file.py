@@ -117,7 +117,7 @@ def read_head(path: Path) -> Arrays:
     return arrays | {
         "parts": np.array(PARTS), "convergence": np.array(0), "size": np.array(1.0),
         "purse": np.array(1.0), "blink": np.array(1.0), "creases": np.array(0),
-        "crease_mask": np.zeros((8, skin)),
+        "crease_mask": np.zeros((10, skin)),
         "landmarks": none, "landmark_points": none, "follow": none,
         "near": np.zeros((0, 1), np.int64), "weight": np.zeros((0, 1)),
         "lip_columns": np.array([-1, 1], np.float32), "lip_fade": np.zeros(2, np.float32),

@@ -116,6 +116,7 @@ def _facts(head: Head) -> dict[str, Any]:
             "least": list(accents.LEAST) * 2,
             "shadow": accents.SHADOW,
             "shadowRadians": accents.SHADOW_RADIANS,
+            "corner": [accents.CORNER_BEGIN, accents.CORNER],
             "teeth": [head.teeth.start, head.teeth.stop],
             "mouthShadow": accents.MOUTH_SHADOW,
             "mouthLight": accents.MOUTH_LIGHT,

@@ -266,7 +266,7 @@ def _bend(points):
 
 
 def crease_masks(skin, marks):
-    """Share of each region of creases that every point takes (8, V); left regions first."""
+    """Share of each region of creases that every point takes (10, V); left regions first."""
     x, y, z = skin.T
     far, smooth = np.abs(x), pictures._smooth
     eye_x = abs(skin[marks["eye_upper_left"], 0])
@@ -274,8 +274,10 @@ def crease_masks(skin, marks):
     mouth_y = skin[marks["upper_rim"], 1]
     middle = smooth((2.2 - far) / 0.9)
     side = smooth((far - eye_x - 0.6) / 0.8) + smooth((-0.7 - y) / 0.4)
+    high = smooth((y - brow_y - 0.5) / 0.7)
     found = [
-        smooth((y - brow_y - 0.5) / 0.7),
+        high * smooth((3.6 - far) / 2.4),
+        high * smooth((far - 0.6) / 2.4),
         middle * smooth((y - brow_y + 1.9) / 0.5) * smooth((brow_y + 1.6 - y) / 0.8),
         np.minimum(side, 1) * smooth((2.1 - y) / 0.6) * smooth((y + 2.6) / 0.8),
         smooth((wing_y + 1.6 - y) / 0.8) * smooth((y - mouth_y + 2.4) / 1.0),
@@ -323,7 +325,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     x, y, z = shapes.average[: base.n_skin].T  # brows that rise take no shadow along
     brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5)
     brow *= smooth((z - 4) / 3) * smooth((6.5 - abs(x)) / 1.5)
-    light[slices["skin"]] += (0.65 * brow)[:, None] * (1 - light[slices["skin"]])
+    light[slices["skin"]] += (0.4 * brow)[:, None] * (1 - light[slices["skin"]])
     if hair.is_long:  # no black gaps between locks
         skin = slices["skin"]
         light[skin] = np.maximum(light[skin], 0.45 * within[:, None])
@@ -433,7 +435,7 @@ def _light(base, shapes, person, joined, picture):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]
         gap = cKDTree(skin).query(x[own])[0]
-        light[own] = (0.30 + 0.70 * pictures._smooth((gap - 0.03) / 0.50))[:, None]
+        light[own] = (0.50 + 0.50 * pictures._smooth((gap - 0.03) / 0.50))[:, None]
     light[joined.slices["lash_L"].start : joined.slices["brow_R"].stop] = 1
     light[seam] = light[joined.weld[seam]]
     hair = joined.slices["hair"]  # cards have the light of those about them

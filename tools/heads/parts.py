@@ -217,16 +217,20 @@ class Person:
         lashes.near, lashes.weight = ids[nearest], weight / weight.sum(1, keepdims=True)
 
     def _follow_columns(self, brows, count=16):
-        """A brow's points go with the skin about the middle of the brow at their column: rigidly."""
+        """A brow's points go with the skin below the middle of the brow near their column: rigidly."""
         x, skin = brows.points, self.skin
-        ids = np.flatnonzero(cKDTree(x).query(skin)[0] < 0.5)
-        middle = np.array([x[np.abs(x[:, 0] - a) < 0.35, 1].mean() for a in x[:, 0]])
-        away = ((skin[ids, 0] - x[:, :1]) / 1.2) ** 2 + (
-            (skin[ids, 1] - middle[:, None]) / 0.55
-        ) ** 2
-        near = np.argsort(away, 1)[:, : 9 * count : 9]
-        weight = np.exp(-np.take_along_axis(away, near, 1)) + 1e-9
-        brows.near, brows.weight = ids[near], weight / weight.sum(1, keepdims=True)
+        brows.near, brows.weight = np.zeros((len(x), count), int), np.zeros((len(x), count))
+        front = np.flatnonzero(cKDTree(x).query(skin)[0] < 0.6)
+        for sign in (1, -1):
+            own = sign * x[:, 0] > 0
+            middle = [np.polynomial.Polynomial.fit(x[own, 0], x[own, k], 3) for k in (1, 2)]
+            at = np.linspace(x[own, 0].min(), x[own, 0].max(), count)
+            line = np.stack([at, *(fit(at) for fit in middle)], 1)
+            ids = front[cKDTree(skin[front]).query(line)[1]]
+            away = (skin[ids, 0] - x[own, :1]) / 0.45
+            brows.near[own] = ids
+            brows.weight[own] = np.exp(-(away**2)) + 1e-9
+        brows.weight /= brows.weight.sum(1, keepdims=True)
 
     def _shorten(self, lash):
         """Lashes end closer to the lid, most of all at the outer corner."""

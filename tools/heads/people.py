@@ -7,11 +7,11 @@ head (``around``, degrees) and from the parting (``part``) they are rooted. ``in
 thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
 ``tips``, shares of their length, and begin up to ``starts`` of it late; they are ``thick`` (least,
 greatest) texels and ``gather`` to the middles of ``locks`` in a card, which is ``narrow`` at its
-root. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
+root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
 ``roots`` how far the drawn roots lie before the hairline, which is ``soft`` over so many cm and
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
-Of the skin ``flush`` is how much blood colours zones of the face, ``mottle`` the strength of its
+Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
 noise and ``flesh`` the colour of the corners of the eyes. ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are.
 """
@@ -21,21 +21,21 @@ _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
 PEOPLE = {
     "Ada": {
         "mix": [("caucasian", "female", "young", 0.85), ("asian", "female", "young", 0.15)],
-        "details": {**_SOFT, "eyebrows/eyebrows-angle-up": 0.7, "eyebrows/eyebrows-trans-up": 0.35,
+        "details": {**_SOFT, "eyebrows/eyebrows-angle-up": 0.45, "eyebrows/eyebrows-trans-up": 0.35,
                     "mouth/mouth-angles-up": 0.25},
         "skin": "young_caucasian_female/textures/young_lightskinned_female_diffuse2.png",
         "shine": 0.3, "hair_colour": (92, 62, 45),
-        "brow": "010", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
+        "brow": "001", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (66, 72, 58), "lip": (0.93, 0.80, 0.79),
-        "mottle": 0.75, "gain": 0.97, "saturation": 1.0, "flush": 0.35, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
-        "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 70, "thick": (2.2, 5.5),
-        "locks": 4, "gather": 0.12, "slant": 1.2, "narrow": 0.4, "starts": 0.07, "soft": 1.5, "part_share": 0.32, "brow_hairs": (1.1, 0.35),
+        "drawing": 0.55, "mottle": 0.6, "gain": 0.97, "saturation": 1.0, "flush": 0.35, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
+        "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 72, "thick": (2.2, 5.5),
+        "locks": 4, "gather": 0.12, "slant": 1.2, "narrow": 0.4, "starts": 0.07, "soft": 1.5, "part_share": 0.32, "brow_hairs": (0.85, 0.22),
         "curl": 0.6, "scalp": 0.9, "volume": 1.3, "fade": (0.05, 0.4), "least": 0.78, "roots": 0.35,
         "layers": [
             {"count": 70, "length": 9, "lift": 0.7, "rise": 1.5, "width": 0.6, "from": 0.5, "part": 0.5, "around": (0, 120), "tone": 0.98,
              "steps": 5, "roll": 0.15, "stray": 0.15},
             {"count": 60, "style": "frame", "around": (0, 50), "length": 26, "lift": 0.85, "rise": 1.8, "width": 0.75, "from": 0.5, "to": 5, "part": 2.6,
-             "wave": 0.25, "steps": 11, "cut": -11, "ends": 1.0, "roll": 0.15, "stray": 0.10},
+             "wave": 0.25, "steps": 11, "cut": -11, "ends": 1.6, "taper": 0.6, "roll": 0.15, "stray": 0.10},
             {"count": 120, "length": 30, "lift": 1.0, "rise": 2.0, "width": 1.15, "from": 1.0, "wave": 0.25, "steps": 10,
              "cut": -13, "ends": 0.8, "roll": 0.2, "stray": 0.09},
             {"count": 76, "around": (0, 65), "length": 30, "lift": 0.8, "rise": 2.0, "width": 1.0, "from": 0.5, "to": 4, "wave": 0.25, "tone": 0.97,
@@ -44,7 +44,7 @@ PEOPLE = {
              "cut": -13, "ends": 0.35, "roll": 0.12, "stray": 0.06},
             {"count": 70, "inset": 0.3, "length": 26, "lift": 0.3, "width": 1.25, "from": 0.5, "tone": 0.9, "steps": 7, "cut": -12.5,
              "roll": 0.1, "stray": 0.05},
-            {"count": 330, "length": 2.0, "lift": 0.12, "width": 0.32, "from": -0.35, "to": 0.8, "steps": 2, "around": (0, 75),
+            {"count": 240, "length": 2.0, "lift": 0.12, "width": 0.32, "from": -0.2, "to": 0.8, "steps": 2, "around": (0, 75),
              "wisps": True, "stray": 0.4, "up": 0.1},
         ],
     },
@@ -55,10 +55,10 @@ PEOPLE = {
         "shine": 0.24, "hair_colour": (54, 43, 35),
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
         "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.95, 0.87, 0.85),
-        "mottle": 0.8, "gain": 1.02, "saturation": 0.92, "flush": 0.3, "freckles": 0.3, "creases": 1.0,
+        "drawing": 0.4, "mottle": 0.55, "gain": 1.02, "saturation": 0.92, "flush": 0.3, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.35,
-        "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.42, "sweep": -1.0, "root": 0.55, "hairs": 30, "thick": (2.0, 5.0), "locks": 2, "gather": 0.6, "tips": 0.35,
-        "slant": 0.3, "soft": 1.2, "roots": 0.3, "brow_hairs": (1.3, 0.3), "narrow": 0.5, "curl": 1.2, "scalp": 0.95,
+        "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.36, "sweep": -1.0, "root": 0.55, "hairs": 30, "thick": (1.5, 4.0), "locks": 2, "gather": 0.6, "tips": 0.35,
+        "slant": 0.3, "soft": 1.2, "roots": 0.3, "brow_hairs": (1.3, 0.35), "fade": (0.2, 0.3), "narrow": 0.5, "curl": 1.2, "scalp": 0.95,
         "layers": [
             {"count": 110, "length": 4.2, "lift": 1.5, "width": 0.4, "sides": 0.4, "wisps": True, "stray": 0.45, "steps": 4, "up": 0.5},
             {"count": 400, "length": 5.0, "lift": 1.25, "width": 0.75, "sides": 0.42, "stray": 0.25, "steps": 5, "from": 0.7, "up": 0.5, "roll": 0.35},
@@ -70,17 +70,17 @@ PEOPLE = {
     },
     "Chidi": {
         "mix": [("african", "male", "young", 0.8), ("caucasian", "male", "young", 0.2)],
-        "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.9,
+        "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.6,
                     "mouth/mouth-lowerlip-volume-decr": 0.7, "mouth/mouth-upperlip-volume-decr": 0.6,
                     "mouth/mouth-lowerlip-height-decr": 0.45, "mouth/mouth-upperlip-height-decr": 0.3},
         "skin": "young_african_male/textures/young_darkskinned_male_diffuse.png",
         "shine": 0.12, "hair_colour": (30, 26, 23),
-        "brow": "008", "brow_hairs": (1.0, 0.35), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
+        "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.0, 0.35), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "white": (0.64, 0.60, 0.55),
-        "mottle": 0.9, "gain": 0.80, "saturation": 1.0, "flush": 0.3, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
+        "drawing": 0.55, "mottle": 0.75, "gain": 0.80, "saturation": 1.0, "flush": 0.3, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
         "lashes": 0.4,
-        "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.5, "sweep": -0.1, "root": 0.8, "hairs": 26, "thick": (3.0, 6.0), "locks": 2, "gather": 0.0,
-        "slant": 0.0, "soft": 1.2, "curl": 9.0, "scalp": 0.95,
+        "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.8, "hairs": 26, "thick": (3.0, 6.0), "locks": 2, "gather": 0.0,
+        "slant": 0.0, "soft": 1.2, "curl": 9.0, "fade": (0.25, 0.35), "scalp": 0.95,
         "layers": [
             {"count": 1000, "length": 1.15, "lift": 0.75, "width": 0.8, "stray": 1.2, "up": 1.2, "steps": 1, "sides": 0.5, "rise": 1.0, "roll": 0.6, "from": 0.3},
             {"count": 1100, "length": 0.9, "lift": 0.45, "width": 0.8, "stray": 1.0, "up": 0.8, "steps": 1, "sides": 0.5, "rise": 0.8, "roll": 0.5, "from": 0.1},
@@ -93,18 +93,20 @@ PEOPLE = {
                     "eyebrows/eyebrows-trans-up": 0.35, "eyebrows/eyebrows-angle-up": 0.6},
         "skin": "young_asian_female/textures/young_lightskinned_female_diffuse3.png",
         "shine": 0.28, "hair_colour": (104, 74, 52),
-        "brow": "010", "brow_colour": (96, 72, 52), "shirt": "female_casualsuit01",
+        "brow": "001", "brow_colour": (96, 72, 52), "shirt": "female_casualsuit01",
         "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.96, 0.86, 0.85),
         "mottle": 0.4, "gain": 0.95, "saturation": 1.0, "flush": 0.3, "freckles": 0.6, "creases": 0.3,
-        "lashes": 0.55, "purse": 0.68, "brow_tilt": -0.04, "brow_hairs": (0.9, 0.3),
-        "style": "long", "ends": 0.82, "tips": 0.12, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 66, "thick": (2.2, 5.5),
+        "lashes": 0.55, "purse": 0.68, "drawing": 0.6, "brow_tilt": -0.04, "brow_hairs": (0.75, 0.2),
+        "style": "long", "ends": 0.82, "tips": 0.12, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 70, "thick": (2.2, 5.5),
         "locks": 4, "gather": 0.2, "slant": 1.0, "narrow": 0.4, "starts": 0.07, "soft": 1.5, "part_share": 0.2,
         "curl": 0.6, "scalp": 0.9, "volume": 1.1, "fade": (0.05, 0.3), "least": 0.76, "roots": 0.25,
         "layers": [
-            {"count": 80, "length": 7.2, "lift": 0.75, "rise": 1.5, "width": 0.5, "from": 0.5, "to": 3.6, "around": (0, 60),
-             "style": "fringe", "steps": 6, "roll": 0.3, "stray": 0.22, "cut": 6.5, "ends": 0.7, "wisps": True},
-            {"count": 130, "length": 6.8, "lift": 0.6, "rise": 1.5, "width": 0.7, "from": 0.5, "to": 3.4, "around": (0, 54),
-             "style": "fringe", "steps": 5, "roll": 0.2, "stray": 0.16, "cut": 6.2, "ends": 0.8},
+            {"count": 60, "length": 7.2, "lift": 0.75, "rise": 1.5, "width": 0.5, "from": 0.5, "to": 3.6, "around": (0, 60),
+             "style": "fringe", "steps": 6, "roll": 0.3, "stray": 0.35, "cut": 6.0, "ends": 0.9, "wisps": True, "taper": 0.4},
+            {"count": 220, "length": 7.0, "lift": 0.68, "rise": 1.5, "width": 0.4, "from": 0.5, "to": 3.6, "around": (0, 56),
+             "style": "fringe", "steps": 5, "roll": 0.25, "stray": 0.3, "cut": 6.1, "ends": 0.8, "taper": 0.4},
+            {"count": 130, "length": 6.6, "lift": 0.58, "rise": 1.5, "width": 0.75, "from": 0.5, "to": 3.4, "around": (0, 54),
+             "style": "fringe", "steps": 5, "roll": 0.2, "stray": 0.18, "cut": 6.8, "ends": 0.5, "taper": 0.35},
             {"count": 70, "length": 9, "lift": 0.7, "rise": 1.5, "width": 0.6, "from": 2.2, "part": 0.5, "around": (0, 120), "tone": 0.98,
              "steps": 5, "roll": 0.15, "stray": 0.15},
             {"count": 115, "length": 26, "lift": 0.95, "rise": 2.0, "width": 1.15, "from": 2.4, "wave": 0.25, "steps": 10,

@@ -140,10 +140,13 @@ def skin(base, person):
     plain = plain / gaussian_filter(share, 40)[..., None]
     fine = colour - gaussian_filter(colour, (26, 26, 0))
     fine += 0.45 * (colour - gaussian_filter(colour, (9, 9, 0)))
+    fine *= look.get("drawing", 0.8)
     fine *= smooth((place[..., 1:2] + 9) / 2)  # the picture of the neck is drawn out
     fine *= 1 - 0.9 * brows[..., None]
     kept = drawn[..., None]
-    colour = plain + kept * (colour - plain) + (0.9 * (1 - kept) + 0.45 * kept) * fine
+    painted = colour - plain
+    painted = np.minimum(painted, 0.1 * np.maximum(painted, 0))  # no lights
+    colour = plain + kept * painted + (0.9 * (1 - kept) + 0.45 * kept) * fine
     for *where, tint in ZONES:
         share = look["flush"] * _zone(place, *where) * (1 - lips)
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
@@ -198,7 +201,8 @@ def hair(look, side=1024):
         for strand in range(6 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
             edge = 0.08 * width
-            middle = rng.uniform(edge, width - edge) + rng.normal() * 0.05 * width * y
+            middle = edge + (width - 2 * edge) * rng.beta(1.5, 1.5)  # denser in the middle
+            middle = middle + rng.normal() * 0.05 * width * y
             lock = (strand % look["locks"] + 0.5) / look["locks"] * width  # to which tips gather
             middle = middle + look["gather"] * (lock - middle) * y**1.5
             middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
@@ -207,12 +211,12 @@ def hair(look, side=1024):
                 rng.uniform(-0.06, look.get("starts", 0.03)),
                 rng.uniform(look["ends"], 1.0),
             )
-            thick = rng.uniform(3.0, 6.0) if is_wisp else rng.uniform(*look["thick"])
+            thick = rng.uniform(2.0, 4.0) if is_wisp else rng.uniform(*look["thick"])
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
             )
             own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
-            shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
+            shade = rng.uniform(0.66, 1.12) - 0.12 * np.abs(x - middle) / thick
             light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)
         inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
@@ -283,11 +287,11 @@ def paint_beard(picture, base, person):
     lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
     below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
-    share = gaussian_filter(share, 3)
+    share = gaussian_filter(share, 12)
     hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
     share = (look["beard"] * share * hairs)[..., None]
     skin = picture[:, :width, :3] / 255
-    dark = skin * np.array([0.50, 0.54, 0.60])
+    dark = skin * np.array([0.52, 0.53, 0.56])
     picture[:, :width, :3] = np.round(255 * (skin * (1 - share) + dark * share))
 
 
@@ -301,7 +305,7 @@ def _eye(look, side=512):
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
     corner = smooth((share - 1.15) / 1.1)[..., None]
-    white = np.array(look.get("white", (0.76, 0.73, 0.70))) * (1 - corner * [0.22, 0.33, 0.34])
+    white = np.array(look.get("white", (0.74, 0.70, 0.66))) * (1 - corner * [0.26, 0.38, 0.41])
     white = white * (1 - 0.2 * veins[..., None] * [0.2, 1, 1])
     rng = np.random.default_rng(3)
     rays = gaussian_filter(rng.normal(size=(64, 2048)), (9, 3), mode="wrap")
@@ -329,6 +333,13 @@ def brow_crop(person):
     return uv.min(0), uv.max(0)
 
 
+def _inner(person, low, high):
+    """Place of the brows' inner ends in their picture, 0 in its middle and 1 at its sides."""
+    ends = [np.abs(2 * (person.parts[n].uv[:, 0] - low[0]) / (high[0] - low[0]) - 1).min()
+            for n in ("brow_L", "brow_R")]  # fmt: skip
+    return min(ends)
+
+
 def _brow(base, person, side=512):
     """Hairs of both brows over a soft ground, which fade to the rim of their mesh."""
     look = person.look
@@ -348,7 +359,10 @@ def _brow(base, person, side=512):
             ImageDraw.Draw(inside).polygon([tuple(corners[v]) for v in face], 255, 255)
     rim = smooth(distance_transform_edt(np.asarray(inside)) / (0.05 * side))
     dense, ground = look["brow_hairs"]
+    out = np.abs(2 * grid - 1)
+    out = smooth((out - _inner(person, low, high)) / 0.4)  # thin at the nose
     alpha = np.clip(dense * hairs + ground * gaussian_filter(hairs, (6, 4)), 0, 1) * rim
+    alpha *= 0.35 + 0.65 * out
     colour = np.array(look["brow_colour"]) / 255 * (1.25 - 0.4 * hairs[..., None])
     return np.dstack([colour, alpha])
 
@@ -466,7 +480,7 @@ def _grooves(x, y, marks):
     brow_y = marks["brow_y"]
     height = np.zeros_like(x)
     for k, base in enumerate((1.1, 2.05, 2.95, 3.75)):  # forehead
-        line = brow_y + base + 0.16 * np.cos(1.1 * x + k % 2) - 0.02 * x**2
+        line = brow_y + base + 0.2 * np.cos(0.9 * x) - 0.02 * x**2 + 0.06 * np.cos(2.3 * x + k)
         height += _groove(y - line, 0.15, _smooth((4.6 - 0.25 * k - x) / 1.6) * (0.7 - 0.08 * k))
     knit = 0.58 + 0.16 * np.maximum(y - brow_y + 0.3, 0)  # glabella
     fade = _smooth((y - brow_y + 1.1) / 0.6) * _smooth((brow_y + 1.4 - y) / 0.8)

@@ -45,7 +45,7 @@ MIX = {
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
     "nose.ty": ("noseSneer_@:.7", ""),
-    "eye.ty": ("eyeLookUp_@:1", "eyeLookDown_@:1"),
+    "eye.ty": ("eyeLookUp_@:1.2", "eyeLookDown_@:1.5"),
     "mouth_dimple.ty": ("mouthDimple_@:.3", ""),
     "mouth_cornerDepress.ty": ("mouthFrown_@:.5", ""),
 }
@@ -56,6 +56,9 @@ LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
+_BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
+         ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
+"""Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
 
 
 def _sigmoid(x):
@@ -349,8 +352,11 @@ class Shapes:
             ear = _sigmoid((sign * x[:, 0] - 7.05) / 0.2) * np.exp(-(((x[:, 1] - 1.5) / 4.5) ** 4))
             ear = ear * (np.arange(len(x)) < self.n)
             found[f"CTRL_{s}_ear_up.ty"] = np.outer(ear, [0.06 * sign, 0.32, -0.05])
-            inner = np.exp(-(((x - [1.5 * sign, 5.1, 10.4]) / [1.3, 1.3, 1.6]) ** 2).sum(1))
-            found[f"CTRL_{s}_brow_raiseIn.ty"] = np.outer(inner, [0, 0.2, 0])
+            for half, across, high, up in _BROW:
+                at = np.array([sign * across, high, 9.8])
+                share = np.exp(-(((x - at) / [1.3, 1.4, 2.4]) ** 2).sum(1))
+                half = f"CTRL_{s}_brow_{half}.ty"
+                found[half] = found.get(half, 0) + np.outer(share, [0, up, 0])
             knit = np.exp(-(((x - [0.9 * sign, 3.9, 10.6]) / [0.8, 0.8, 1.2]) ** 2).sum(1))
             knit = np.outer(knit, [-0.06 * sign, -0.16, 0.08])
             found[f"CTRL_{s}_nose.ty"], found[f"nose_upper_{s}"] = knit, -knit

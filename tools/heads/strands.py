@@ -200,7 +200,7 @@ class Hair:
             curve = gaussian_filter1d(curve, 1.5, axis=1, mode="nearest")
         return curve, across
 
-    def cards(self, curves, across, width, tone, wisps, roll, inset):
+    def cards(self, curves, across, width, tone, wisps, roll, inset, taper):
         """Two strips of triangles along each curve: points, places in the picture, faces, tones."""
         count, n = curves.shape[:2]
         along = unit(np.gradient(curves, axis=1))
@@ -208,7 +208,9 @@ class Hair:
         turn = roll * self.rng.normal(size=(count, 1, 1))
         side = unit(side * np.cos(turn) + np.cross(along, side) * np.sin(turn))
         narrow = self.look.get("narrow", 0.75)
-        half = 0.5 * width[:, None] * (narrow + (1 - narrow) * smooth(np.linspace(0, 1, n) / 0.3))
+        along = np.linspace(0, 1, n)
+        half = 0.5 * width[:, None] * (narrow + (1 - narrow) * smooth(along / 0.3))
+        half = half * (1 - taper * smooth((along - 0.4) / 0.6))
         points = np.stack([curves - side * half[..., None], curves + side * half[..., None]], 2)
         first = VARIANTS - WISPS if wisps else 0
         variant = self.rng.integers(first, VARIANTS if wisps else VARIANTS - WISPS, size=count)
@@ -246,7 +248,8 @@ def grow(person: Person, hair: Hair) -> Part:
             comb = unit(comb + layer["back"] * tangent(np.array([0, 0.5, -1.0]), normal))
         way = unit(comb + layer.get("stray", 0.1) * rng.normal(size=points.shape)
                    + layer.get("up", 0) * normal)  # fmt: skip
-        high = s * layer["lift"] * rng.uniform(0.6, 1.2, count)
+        uneven = (0.75, 1.08) if hair.is_long else (0.6, 1.2)
+        high = s * layer["lift"] * rng.uniform(*uneven, count)
         high *= np.clip(0.25 + within / 2.0, 0, 1)
         curves, across = hair.grown(
             points, way, length, high, rise=s * layer.get("rise", 2.0), steps=layer["steps"], style=style,
@@ -261,8 +264,8 @@ def grow(person: Person, hair: Hair) -> Part:
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
         tone = layer.get("tone", 1.0) * rng.uniform(look.get("least", 0.76), 1.0, count)
         is_wisp = layer.get("wisps", False)
-        roll, inset = layer.get("roll", 0.2), layer.get("inset", 0)
-        pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset))
+        roll, inset, taper = layer.get("roll", 0.2), layer.get("inset", 0), layer.get("taper", 0)
+        pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset, taper))
     points, uv, faces, tone, first = [], [], [], [], 0
     for own, places, triangles, tones in pieces:
         points.append(own)

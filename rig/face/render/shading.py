@@ -56,43 +56,48 @@ VIEWS = {
 
 LIGHTS = (
     # direction to the light, colour times strength
-    ((0.55, 0.62, 0.72), (1.06, 0.99, 0.91)),
-    ((-0.85, 0.15, 0.45), (0.30, 0.33, 0.40)),
-    ((-0.55, 0.45, -0.75), (0.70, 0.80, 0.95)),
+    ((-0.52, 0.55, 0.70), (1.31, 1.21, 1.09)),
+    ((0.80, 0.05, 0.60), (0.30, 0.33, 0.39)),
+    ((0.62, 0.42, -0.72), (0.75, 0.85, 1.00)),
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.6, 0.55, 0.5], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
-DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.46
-"""Colour of the mouth where its shadow is 1; how much darker that shadow makes what it still shows,
-and that of lids the eye."""
+DEEP, DIM = (0.27, 0.08, 0.07), 0.5
+"""Colour of the mouth where its shadow is 1, and how much darker that shadow makes what it still
+shows."""
+UNDER_LID = (0.50, 0.56, 0.60)
+"""How much darker the shadow of lids makes the eye."""
 CREASE_TILT = 0.85
 """How far creases tilt normals, of what their map says."""
 GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
-CATCH, LOW = unit(np.array([0.14, 0.48, 0.86])), unit(np.array([0.31, -0.14, 0.94]))
-"""Where eyes reflect a window, and what of it is left in the shadow of a lowered lid."""
+CATCH = unit(np.array([-0.30, 0.30, 0.90]))
+"""Where eyes reflect the soft first light."""
 WINDOW_TURN = 0.5
-"""How far the window goes to the other side of a camera that goes aside, so that irises show it."""
+"""How far it goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.3
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE = 0.09, 0.15
+PORE_TILT, PORE_SHADE = 0.12, 0.17
 """How far pores tilt the normals of skin, and how much they shade it."""
 CLOTH_PORES, CLOTH_SHADE = 6, 0.28
 """How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
 how much they shade it as a fabric's grain."""
-SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
+SKY, GROUND = (0.175, 0.19, 0.22), (0.085, 0.07, 0.065)
 SOLID = 0.75
 """Coverage above which hair, brows and lashes are drawn solid on a graphics card."""
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
+BACKDROP, CORNERS = (0.27, 0.29, 0.315), (0.075, 0.08, 0.09)
+"""Colours of the backdrop behind the head and in the corners of the picture."""
 
 
-def background(height: int) -> Float64:
-    """One column (height, 1, 3) sRGB, top to bottom."""
-    t = np.linspace(0, 1, height)[:, None, None]
-    return np.array(BACKGROUND_TOP) * (1 - t) + np.array(BACKGROUND_BOTTOM) * t
+def background(width: int, height: int) -> Float64:
+    """Colours (height, width, 3) sRGB, between 0 and 1."""
+    y, x = (np.linspace(-1, 1, n + 1)[:-1] + 1 / n for n in (height, width))
+    far = np.clip(0.75 * (x**2 + (y + 0.1)[:, None] ** 2), 0, 2) / 2
+    share = (far * (2 - far))[..., None]
+    return np.array(BACKDROP) * (1 - share) + np.array(CORNERS) * share
 
 
 def _vec(values: Iterable[float]) -> str:
@@ -152,7 +157,7 @@ void main() {{
   if (!thin && !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
-  float shade = 1.0, strand = 1.0, gloss = paint_.a;
+  float shade = 1.0, strand = 1.0, wet = 0.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
@@ -162,8 +167,11 @@ void main() {{
   }} else if (kind == {CLOTH}) {{
     shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
-  else if (kind == {EYE})
-    albedo *= (1.0 - {UNDER_LID} * accent_) * (1.0 + {IRIS} * (1.0 - albedo));
+  else if (kind == {EYE}) {{
+    strand = 0.0;  // it mirrors a window alone, the white less
+    wet = clamp(2.4 - 4.5 * albedo.b, 0.2, 1.0) * (1.0 - 0.6 * accent_);
+    albedo *= (1.0 - accent_ * {_vec(UNDER_LID)}) * (1.0 + {IRIS} * (1.0 - albedo));
+  }}
   if (kind <= {SKIN}) {{  // inside the mouth
     float dark = max(kind == {SKIN} ? -accent_ : accent_, 0.0);
     albedo = mix(albedo * (1.0 - {DIM} * dark), {_vec(DEEP)}, dark * dark); gloss *= 1.0 - dark;
@@ -177,12 +185,9 @@ void main() {{
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
-    vec3 turn = vec3(-{WINDOW_TURN} * v.x, 0.0, 0.0);
-    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, normalize({_vec(CATCH)} + turn)));
-    glow *= clamp(4.0 * (0.9 - accent_), 0.0, 1.0);
-    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, normalize({_vec(LOW)} + turn)));
-    low *= clamp(6.0 * (accent_ - 0.07), 0.0, 1.0);
-    shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
+    vec3 window = normalize({_vec(CATCH)} - vec3({WINDOW_TURN} * v.x, 0.0, 0.0));
+    float glow = smoothstep(0.974, 0.994, dot(mirror, window));
+    shine += (0.95 * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * wet;
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
   linear = sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0));
@@ -195,16 +200,17 @@ void main() {{
 def glsl_background() -> tuple[str, str]:
     """Vertex and fragment shader of the backdrop, for one triangle that covers the screen."""
     vertex = """#version 330
-out float top;
+out vec2 place;
 void main() {
   vec2 p = vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1);
-  top = 0.5 * p.y + 0.5; gl_Position = vec4(p, 0.9999, 1);
+  place = p; gl_Position = vec4(p, 0.9999, 1);
 }
 """
     fragment = f"""#version 330
-in float top; out vec4 color_;
+in vec2 place; out vec4 color_;
 void main() {{
-  color_ = vec4(mix({_vec(BACKGROUND_BOTTOM)}, {_vec(BACKGROUND_TOP)}, top), 1);
+  float far = clamp(0.375 * (place.x * place.x + (place.y - 0.1) * (place.y - 0.1)), 0.0, 1.0);
+  color_ = vec4(mix({_vec(BACKDROP)}, {_vec(CORNERS)}, far * (2.0 - far)), 1);
 }}
 """
     return vertex, fragment

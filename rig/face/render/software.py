@@ -160,7 +160,7 @@ class Renderer:
         right, up, far = x[:, None] * back[:3, 0], y[:, None] * back[:3, 1], back[:3, 2:].sum(1)
         away = (view.position - far - up).astype(np.float32)[:, None] - right.astype(np.float32)
         self._to_eye = unit(away)
-        self._empty = background(height)[:, 0].astype(np.float32)
+        self._empty = background(width, height).astype(np.float32)
         self._room = _room(2 * width, 2 * height, BAND, len(self._faces))
         self._places = (np.zeros(ROWS * PLACES, np.float32), np.zeros(PLACES, np.uint32),
                         np.zeros(PLACES, np.uint32))  # fmt: skip

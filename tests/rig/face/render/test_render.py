@@ -63,7 +63,7 @@ def test_nearer_square_hides_the_farther():
 def test_back_faces_are_not_drawn():
     front = square(0, (1, 0, 0))
     back = Mesh(front.vertices, front.faces[:, ::-1], front.colors, front.gloss)
-    empty = np.broadcast_to(background(80), (80, 72, 3)) * 255
+    empty = background(72, 80) * 255
     assert np.abs(draw(back) - empty).max() < 2
 
 

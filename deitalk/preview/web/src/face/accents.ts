@@ -72,10 +72,14 @@ export class Accents {
     const x = Array.from(rim, (v) => vertices[3 * v] - cx);
     const high = Array.from(rim, (v) => Math.atan2(vertices[3 * v + 1] - cy, vertices[3 * v + 2] - cz));
     const [start, stop] = facts.slices[eye ? "eye_R" : "eye_L"];
+    const { shadow, shadowRadians, corner } = facts.accents;
+    const middle = (x[0] + x[x.length - 1]) / 2, half = (x[x.length - 1] - x[0]) / 2;
     for (let v = start; v < stop; v++) {
       const px = vertices[3 * v] - cx, py = vertices[3 * v + 1] - cy, pz = vertices[3 * v + 2] - cz;
-      const below = (between(x, high, px) - Math.atan2(py, pz)) / facts.accents.shadowRadians;
-      this.values[v] = pz > 0 ? facts.accents.shadow * smoothstep(1 - below) : 0;
+      const below = (between(x, high, px) - Math.atan2(py, pz)) / shadowRadians;
+      const under = shadow * smoothstep(1 - below);
+      const aside = corner[1] * smoothstep((Math.abs(px - middle) / half - corner[0]) / (1 - corner[0]));
+      this.values[v] = pz > 0 ? under + (1 - under) * aside : 0;
     }
   }
 }
