@@ -42,6 +42,8 @@ _ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.9, 0.82, 0.74)}
 """Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
 _ASIDE = np.array([0.96, 0.945, 0.925])
 """Colour of a tooth over that of the one before it, from the lateral incisors on."""
+_BETWEEN = 0.22
+"""How much darker a tooth is beside the next one, where it turns back."""
 
 
 @dataclass
@@ -155,6 +157,8 @@ class Person:
                 points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
                 moved += narrower
                 part.tone[ids] = _tone(edge, k) * _ENAMEL[row] * _ASIDE ** max(k - 1, 0)
+                beside = np.abs((points[ids] - points[ids].mean(0)) @ along[k])
+                part.tone[ids] *= 1 - _BETWEEN * (beside / beside.max())[:, None] ** 6
         gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
         points[gum, 2] -= _GUM
         palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
