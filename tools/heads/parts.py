@@ -27,7 +27,7 @@ where the lips meet, cm; small heads have more, for their lips move as far."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
-    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.31, 0, 0.05), (1, 0.30, 0.03, 0.03),
+    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.28, 0, 0.03), (1, 0.28, 0.03, 0.03),
               (1, 0.22, 0.03, 0.03), (1, 0.1, 0, 0)],
     "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (1.02, 0.07, 0, 0.03), (1, -0.03, 0.03, 0.03),
               (1, -0.14, 0, 0), (1, -0.22, 0, 0), (1, -0.3, 0, 0), (1, -0.3, 0, 0)],
@@ -305,7 +305,7 @@ def _rounded(tongue):
     low, high = np.where(near, y, np.inf).min(1), np.where(near, y, -np.inf).max(1)
     top = (y - low) / np.maximum(high - low, 1e-6)
     across = np.minimum(np.abs(x) / half, 1)
-    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.4 * across**2
+    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.6 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
     return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
 

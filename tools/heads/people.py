@@ -94,7 +94,7 @@ PEOPLE = {
         "skin": "young_asian_female/textures/young_lightskinned_female_diffuse3.png",
         "shine": 0.28, "hair_colour": (104, 74, 52),
         "brow": "010", "brow_colour": (96, 72, 52), "shirt": "female_casualsuit01",
-        "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.96, 0.86, 0.85),
+        "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.88, 0.83, 0.83),
         "mottle": 0.4, "gain": 0.95, "saturation": 1.0, "flush": 0.3, "freckles": 0.6, "creases": 0.3,
         "lashes": 0.55, "purse": 0.68, "brow_tilt": -0.04, "brow_hairs": (0.9, 0.3),
         "style": "long", "ends": 0.82, "tips": 0.12, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 66, "thick": (2.2, 5.5),

@@ -97,7 +97,7 @@ other there, cm."""
 SHINE = (
     (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
     (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
-    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.17),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.24),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -316,7 +316,7 @@ def paint_beard(picture, base, person):
     lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
     below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
-    share = gaussian_filter(share, 3)
+    share = gaussian_filter(share, 3) / (gaussian_filter(known * 1.0, 3) + 1e-3)
     hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
     share = (look["beard"] * share * hairs)[..., None]
     skin = picture[:, :width, :3] / 255

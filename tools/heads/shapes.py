@@ -56,8 +56,9 @@ LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
-TEETH_BACK = -0.25
-"""What an open jaw moves its front teeth back beside its turn, cm: the skin's does."""
+TEETH_AWAY = (0, -0.2, -0.25)
+"""What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
+lower lip, which covers half of them."""
 
 
 def _sigmoid(x):
@@ -297,7 +298,8 @@ class Shapes:
         ):  # fmt: skip
             found[name] = np.zeros_like(x)
             found[name][low] = gain * self.units[unit][low]
-        found["CTRL_C_jaw.ty"][low, 2] += TEETH_BACK * np.clip((x[low, 2] - 5) / 4, 0, 1)
+        front = np.clip((x[low, 2] - 5) / 4, 0, 1)
+        found["CTRL_C_jaw.ty"][low] += np.outer(front, TEETH_AWAY)
         for row, letter in (("upper", "U"), ("lower", "D")):
             teeth = base.at(f"helper-{row}-teeth")
             for control, move in ((f"teeth{letter}.ty", [0, 1, 0]), (f"teeth{letter}.tx", [1, 0, 0]),
