@@ -17,7 +17,7 @@ LEAST = (0.02, 0.015, 0.04, 0.10)
 SHADOW_RADIANS, SHADOW = 0.42, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 
-MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.36, 0.9, 1.2, 4.2, 0.5)
+MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.36, 0.9, 1.2, 4.0, 0.5)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
 how far behind the lip it begins to fade, and over what way it goes, cm; how much behind the lip means

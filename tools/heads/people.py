@@ -54,7 +54,7 @@ PEOPLE = {
         "skin": "young_caucasian_male/textures/young_lightskinned_male_diffuse.png",
         "shine": 0.24, "hair_colour": (54, 43, 35),
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
-        "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.82, 0.87, 0.86),
+        "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.77, 0.83, 0.82),
         "mottle": 0.8, "gain": 1.02, "saturation": 0.92, "flush": 0.3, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.35,
         "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.42, "sweep": -1.0, "root": 0.55, "hairs": 30, "thick": (2.0, 5.0), "locks": 2, "gather": 0.6, "tips": 0.35,
