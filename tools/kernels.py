@@ -565,7 +565,7 @@ def _crease(count: Any, creases: Any, places: Any) -> None:
         nz = places[NZ + i] + tilt * _channel(texels, across, down, 2) - most
         dark = crease * (F(1) - _channel(texels, across, down, 3) * F(1 / 255))
         places[KEPT + i] *= F(1) - dark
-        places[RED + i] *= np.sqrt((F(1) - _CREASE_RED * dark) / (F(1) - dark))
+        places[RED + i] *= F(1) + _CREASE_RED * dark
         places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
 
 

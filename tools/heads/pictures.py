@@ -191,11 +191,16 @@ def _joined(base, person, colour):
     ends = np.stack([base.skin_faces.ravel(), base.uv_triangles.ravel()], 1)
     point, at = np.unique(ends, axis=0).T
     skin = person.shapes.average[: base.n_skin]
-    is_seam = (np.bincount(point)[point] > 1) & (skin[point, 1] < NECK[0]) & (skin[point, 2] < NECK[1])
+    is_seam = (
+        (np.bincount(point)[point] > 1) & (skin[point, 1] < NECK[0]) & (skin[point, 2] < NECK[1])
+    )
     point, at = point[is_seam], at[is_seam]
     seam = SIDE * placed(skin_uv(base.uv[at]), "skin")
     weighed = gaussian_filter(np.dstack([colour * known[..., None], known]), (8, 8, 0))
-    row, column = np.clip(seam[:, 1], 0, colour.shape[0] - 1), np.clip(seam[:, 0], 0, colour.shape[1] - 1)
+    row, column = (
+        np.clip(seam[:, 1], 0, colour.shape[0] - 1),
+        np.clip(seam[:, 0], 0, colour.shape[1] - 1),
+    )
     own = weighed[row.astype(int), column.astype(int)]
     own = own[:, :3] / (own[:, 3:] + 1e-4)
     total = np.stack([np.bincount(point, own[:, k]) for k in range(3)], 1)

@@ -70,8 +70,8 @@ DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.46
 and that of lids the eye."""
 CREASE_TILT = 0.85
 """How far creases tilt normals, of what their map says."""
-CREASE_RED = 0.6
-"""Share of their shade that red light has, which flesh scatters into them."""
+CREASE_RED = 0.2
+"""How much redder skin is where creases are darkest: flesh scatters red light into them."""
 GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
 CATCH, LOW = unit(np.array([0.14, 0.48, 0.86])), unit(np.array([0.31, -0.14, 0.94]))
@@ -154,13 +154,14 @@ void main() {{
   if (!thin && !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
-  vec3 shade = vec3(1.0); float strand = 1.0, gloss = paint_.a;
+  float shade = 1.0, strand = 1.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
     shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
-    shade *= 1.0 - crease * (1.0 - fold.a) * vec3({CREASE_RED}, 1.0, 1.0);
+    float dark = crease * (1.0 - fold.a);
+    shade *= 1.0 - dark; albedo.r *= 1.0 + {CREASE_RED} * dark;
   }} else if (kind == {CLOTH}) {{
     shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
