@@ -20,7 +20,7 @@ SHADOW_RADIANS, SHADOW = 0.42, 0.85
 MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.36, 0.9, 1.2, 4.0, 0.5)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
-how far behind the lip it begins to fade, and over what way it goes, cm; share of its way that counts
+how far behind the lip it begins to fade, and over what way it goes, cm; share of this that counts
 from the lip at the same x, not from its front, which corners lie far behind."""
 LIPS = (0.0, 0.45)
 """How far behind the upper lip at the same x the shadow on skin begins, and over what way it is
