@@ -38,7 +38,7 @@ _SQUARE = 0.14
 """How far the corners of all edges are filled first, cm: rows have no holes between teeth."""
 _MIDLINE = 0.018
 """How far both halves of a row go to the middle, cm."""
-_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.9, 0.82, 0.74)}
+_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.85, 0.775, 0.70)}
 """Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
 _ASIDE = np.array([0.96, 0.945, 0.925])
 """Colour of a tooth over that of the one before it, from the lateral incisors on."""

@@ -89,7 +89,7 @@ ZONES = (
     (5.0, -4.8, 1.5, 1.8, (0.985, 0.985, 0.965)),
 )
 """Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
-RAW = np.array([0.42, 0.38])
+RAW = np.array([0.50, 0.45])
 """Least green and blue of skin, for one of red: the picture's mouth is painted like a wound."""
 NECK, NECK_CM = (-3.0, 6.0), 2.0
 """Below and behind which a seam of the skin lies on the neck, and how far each side takes from the
