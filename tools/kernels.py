@@ -32,7 +32,8 @@ _SLOPE = 1 / (1 + _WRAP)
 _DEEP, _GLOW = np.array(shading.DEEP, F), np.array(shading.GLOW, F)
 _DIM, _UNDER_LID = F(shading.DIM), np.array(shading.UNDER_LID, F)
 _CATCH = shading.CATCH.astype(F)
-_CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
+_CREASE_TILT, _CREASE_RED = F(shading.CREASE_TILT), F(shading.CREASE_RED)
+_IRIS = F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
 _PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
@@ -585,7 +586,9 @@ def _crease(count: Any, creases: Any, places: Any) -> None:
         nx = places[NX + i] + tilt * _channel(texels, across, down, 0) - most
         ny = places[NY + i] + tilt * _channel(texels, across, down, 1) - most
         nz = places[NZ + i] + tilt * _channel(texels, across, down, 2) - most
-        places[KEPT + i] *= F(1) - crease * (F(1) - _channel(texels, across, down, 3) * F(1 / 255))
+        dark = crease * (F(1) - _channel(texels, across, down, 3) * F(1 / 255))
+        places[KEPT + i] *= F(1) - dark
+        places[RED + i] *= F(1) + _CREASE_RED * dark
         places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
 
 

@@ -19,10 +19,11 @@ SHADOW_RADIANS, SHADOW = 0.37, 0.85
 CORNER_BEGIN, CORNER = 0.45, 0.6
 """Where the shadow of an eye's corners begins, of the way to them, and its depth there."""
 
-MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.3, 0.9, 1.2, 4.2)
+MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.36, 0.9, 1.2, 4.0, 0.5)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
-how far behind the lip it begins to fade, and over what way it goes, cm."""
+how far behind the lip it begins to fade, and over what way it goes, cm; share of this that counts
+from the lip at the same x, not from its front, which corners lie far behind."""
 LIPS = (0.0, 0.45)
 """How far behind the upper lip at the same x the shadow on skin begins, and over what way it is
 whole, cm."""
@@ -76,12 +77,13 @@ def _mouth(lip: AnyFloat, inside: AnyFloat) -> tuple[Float64, Float64]:
 
     The lip (T, P, 3) gives its front for the shadow, its place at the same x for the other.
     """
-    rise, clear, soft, begin, fade = MOUTH_LIGHT
+    rise, clear, soft, begin, fade, beside = MOUTH_LIGHT
     x, y, z = np.moveaxis(inside, -1, 0)
     edge, rim = (
         np.stack([np.interp(a, c[:, 0], c[:, k]) for a, c in zip(x, lip, strict=True)])
         for k in (1, 2)
     )
-    depth = lip[..., 2].max(1, keepdims=True) - z
+    front = lip[..., 2].max(1, keepdims=True)
+    depth = front + beside * (rim - front) - z
     under = (clear - (edge - y - rise * depth)) / soft
     return MOUTH_SHADOW * smoothstep(np.maximum(under, (depth - begin) / fade)), rim - z

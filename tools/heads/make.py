@@ -53,7 +53,7 @@ GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
-TONGUE = (1.0, 0.82, 0.80)
+TONGUE = (0.95, 0.9, 0.88)
 """Colour of the tongue over its picture."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
@@ -420,11 +420,11 @@ def _light(base, shapes, person, joined, picture):
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
     for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.85, 0.6]),
-                        ("tongue", [0.75, 0.48])):  # fmt: skip
+                        ("tongue", [0.9, 0.72])):  # fmt: skip
         own = joined.slices[part]
         light[own] = np.maximum(light[own], least) * (depth[own] * _front(x[own]))[:, None]
     groove = joined.slices["tongue"]
-    light[groove] *= 1 - 0.5 * np.exp(-((x[groove, :1] / 0.25) ** 2))
+    light[groove] *= 1 - 0.35 * np.exp(-((x[groove, :1] / 0.25) ** 2))
     across, high, far = x[: base.n_skin].T
     high = high - person.skin[shapes.rims[0], 1].mean()
     inner = np.flatnonzero((away > 0.9) & (away < 14) & (shut[: base.n_skin, 0] < 0.45)

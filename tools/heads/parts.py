@@ -27,7 +27,7 @@ where the lips meet, cm; small heads have more, for their lips move as far."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
-    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.31, 0, 0.05), (1, 0.30, 0.03, 0.03),
+    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.28, 0, 0.03), (1, 0.28, 0.03, 0.03),
               (1, 0.22, 0.03, 0.03), (1, 0.1, 0, 0)],
     "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (1.02, 0.07, 0, 0.03), (1, -0.03, 0.03, 0.03),
               (1, -0.14, 0, 0), (1, -0.22, 0, 0), (1, -0.3, 0, 0), (1, -0.3, 0, 0)],
@@ -38,10 +38,12 @@ _SQUARE = 0.14
 """How far the corners of all edges are filled first, cm: rows have no holes between teeth."""
 _MIDLINE = 0.018
 """How far both halves of a row go to the middle, cm."""
-_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.9, 0.82, 0.74)}
+_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.85, 0.775, 0.70)}
 """Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
 _ASIDE = np.array([0.96, 0.945, 0.925])
 """Colour of a tooth over that of the one before it, from the lateral incisors on."""
+_BETWEEN = 0.22
+"""How much darker a tooth is beside the next one, where it turns back."""
 
 
 @dataclass
@@ -155,6 +157,8 @@ class Person:
                 points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
                 moved += narrower
                 part.tone[ids] = _tone(edge, k) * _ENAMEL[row] * _ASIDE ** max(k - 1, 0)
+                beside = np.abs((points[ids] - points[ids].mean(0)) @ along[k])
+                part.tone[ids] *= 1 - _BETWEEN * (beside / beside.max())[:, None] ** 6
         gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
         points[gum, 2] -= _GUM
         palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
@@ -305,7 +309,7 @@ def _rounded(tongue):
     low, high = np.where(near, y, np.inf).min(1), np.where(near, y, -np.inf).max(1)
     top = (y - low) / np.maximum(high - low, 1e-6)
     across = np.minimum(np.abs(x) / half, 1)
-    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.4 * across**2
+    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.6 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
     return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
 

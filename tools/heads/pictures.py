@@ -7,6 +7,7 @@ package give sharp lips, and noise of the skin's own scales the rest.
 import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
@@ -88,10 +89,15 @@ ZONES = (
     (5.0, -4.8, 1.5, 1.8, (0.985, 0.985, 0.965)),
 )
 """Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
+RAW = np.array([0.50, 0.45])
+"""Least green and blue of skin, for one of red: the picture's mouth is painted like a wound."""
+NECK, NECK_CM = (-3.0, 6.0), 2.0
+"""Below and behind which a seam of the skin lies on the neck, and how far each side takes from the
+other there, cm."""
 SHINE = (
     (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
     (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
-    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.09),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.24),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -177,7 +183,39 @@ def skin(base, person):
         colour[where] = 0.35 * colour[where] + 0.65 * np.array(
             look.get("flesh", (0.80, 0.58, 0.54))
         )
-    return np.clip(colour, 0, 1) ** look["gain"]
+    colour = _joined(base, person, np.clip(colour, 0, 1))
+    colour[..., 1:] = np.maximum(colour[..., 1:], colour[..., :1] * RAW)
+    return colour ** look["gain"]
+
+
+def _joined(base, person, colour):
+    """Colours that are equal on both sides of the seam of the neck, where the picture is cut."""
+    place, known = texels(base, person)
+    ends = np.stack([base.skin_faces.ravel(), base.uv_triangles.ravel()], 1)
+    point, at = np.unique(ends, axis=0).T
+    skin = person.shapes.average[: base.n_skin]
+    is_seam = (
+        (np.bincount(point)[point] > 1) & (skin[point, 1] < NECK[0]) & (skin[point, 2] < NECK[1])
+    )
+    point, at = point[is_seam], at[is_seam]
+    seam = SIDE * placed(skin_uv(base.uv[at]), "skin")
+    weighed = gaussian_filter(np.dstack([colour * known[..., None], known]), (8, 8, 0))
+    row, column = (
+        np.clip(seam[:, 1], 0, colour.shape[0] - 1),
+        np.clip(seam[:, 0], 0, colour.shape[1] - 1),
+    )
+    own = weighed[row.astype(int), column.astype(int)]
+    own = own[:, :3] / (own[:, 3:] + 1e-4)
+    total = np.stack([np.bincount(point, own[:, k]) for k in range(3)], 1)
+    lacks = total[point] / np.bincount(point)[point, None] - own
+    rows, columns = np.nonzero(known)
+    far, near = cKDTree(seam).query(np.stack([columns, rows], 1), k=6)
+    away = np.linalg.norm(place[rows, columns] - skin[point[near[:, 0]]], axis=1)
+    weight = 1 / (far**2 + 9)
+    missing = np.einsum("nk,nkc->nc", weight, lacks[near]) / weight.sum(1, keepdims=True)
+    out = colour.copy()
+    out[rows, columns] += missing * np.exp(-((away / NECK_CM) ** 2))[:, None]
+    return np.clip(out, 0, 1)
 
 
 def _one_hue(colour, share, width=24):
@@ -287,7 +325,7 @@ def paint_beard(picture, base, person):
     lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
     below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
-    share = gaussian_filter(share, 12)
+    share = gaussian_filter(share, 12) / (gaussian_filter(known * 1.0, 12) + 1e-3)
     hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
     share = (look["beard"] * share * hairs)[..., None]
     skin = picture[:, :width, :3] / 255
@@ -397,7 +435,7 @@ def atlas(base, person):
     teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
     put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
-    put("tongue", np.asarray(tongue, float) / 255 * [0.62, 0.52, 0.50])
+    put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.66, 0.64])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
     alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
@@ -492,7 +530,11 @@ def _grooves(x, y, marks):
     bag = eye_y - 1.45 + 0.16 * (x - eye_x) ** 2  # under the lower lid
     height += _groove(y - bag, 0.10, 0.7 * _smooth((1.7 - np.abs(x - eye_x)) / 0.9))
     (wing_x, wing_y), (corner_x, corner_y) = marks["wing"], marks["corner"]
-    down = np.clip((wing_y + 0.35 - y) / (wing_y + 0.35 - corner_y + 0.7), 0, 1.2)  # nasolabial
-    fold = wing_x + 0.3 + (corner_x + 0.75 - wing_x - 0.3) * down**0.9
-    fade = _smooth((wing_y + 0.5 - y) / 0.8) * _smooth((y - corner_y + 1.2) / 1.2)
-    return height + _groove(x - fold, 0.26, 0.62 * fade)
+    down = np.clip((wing_y + 0.45 - y) / (wing_y + 0.45 - corner_y), 0, 1.3)  # nasolabial
+    near, out = wing_x + 0.22, corner_x + 0.95
+    away = x - near - (out - near) * np.sin(0.5 * np.pi * down)
+    away *= np.interp(down, [0, 0.6, 1], [0.55, 0.8, 1])  # across the fold, which lies aslant
+    fade = _smooth(down / 0.3) * _smooth((1.3 - down) / 0.5)
+    bottom = np.exp(-((away / np.where(away < 0, 0.42, 0.24)) ** 2))  # the cheek hangs over it
+    cheek = np.exp(-(((away - 0.62) / 0.4) ** 2))
+    return height + fade * (0.05 * cheek - 0.085 * bottom)

@@ -59,6 +59,9 @@ TONGUE_UP = 1.0
 _BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
          ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
+TEETH_AWAY = (0, -0.2, -0.25)
+"""What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
+lower lip, which covers half of them."""
 
 
 def _sigmoid(x):
@@ -298,6 +301,8 @@ class Shapes:
         ):  # fmt: skip
             found[name] = np.zeros_like(x)
             found[name][low] = gain * self.units[unit][low]
+        front = np.clip((x[low, 2] - 5) / 4, 0, 1)
+        found["CTRL_C_jaw.ty"][low] += np.outer(front, TEETH_AWAY)
         for row, letter in (("upper", "U"), ("lower", "D")):
             teeth = base.at(f"helper-{row}-teeth")
             for control, move in ((f"teeth{letter}.ty", [0, 1, 0]), (f"teeth{letter}.tx", [1, 0, 0]),

@@ -72,6 +72,8 @@ UNDER_LID = (0.50, 0.56, 0.60)
 """How much darker the shadow of lids makes the eye."""
 CREASE_TILT = 0.85
 """How far creases tilt normals, of what their map says."""
+CREASE_RED = 0.2
+"""How much redder skin is where creases are darkest: flesh scatters red light into them."""
 GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
 CATCH = unit(np.array([-0.30, 0.30, 0.90]))
@@ -163,7 +165,8 @@ void main() {{
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
     shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
-    shade *= 1.0 - crease * (1.0 - fold.a);
+    float dark = crease * (1.0 - fold.a);
+    shade *= 1.0 - dark; albedo.r *= 1.0 + {CREASE_RED} * dark;
   }} else if (kind == {CLOTH}) {{
     shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);

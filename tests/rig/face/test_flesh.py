@@ -79,19 +79,51 @@ def test_teeth_stand_right_behind_the_lips(person):
     assert 0.3 < lip[len(lip) // 2, Z] - front < 0.5
 
 
+def _green_teeth(person, pose, view):
+    """A pose, its picture of 300 x 300 pixels in which only teeth and gums are green, its view."""
+    head = build_head(person)
+    points = head.pose(pose_values(pose)).astype(float)
+    green = np.zeros((len(points), 3))
+    green[head.slices["teeth_upper"].start : head.slices["teeth_lower"].stop, 1] = 1
+    plain = np.full(len(points), PLAIN)
+    mesh = replace(head.mesh, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
+    return points, Renderer(mesh, (300, 300), VIEWS[view]).render(points).astype(int), VIEWS[view]
+
+
 @pytest.mark.parametrize("person", PEOPLE)
 @pytest.mark.parametrize("emotion", [*EMOTION_POSES, "rest"])
 def test_no_tooth_comes_through_shut_lips(person, emotion):
     """In front of every tooth there is skin when the lips are together."""
-    head = build_head(person)
     shut = {"*mouth_lipsTogetherU.ty": 1.0, "*mouth_lipsTogetherD.ty": 1.0}
-    pose = head.pose(pose_values({**EMOTION_POSES.get(emotion, {}), **shut})).astype(float)
-    green = np.zeros((len(pose), 3))
-    green[head.slices["teeth_upper"].start : head.slices["teeth_lower"].stop, 1] = 1
-    plain = np.full(len(pose), PLAIN)
-    mesh = replace(head.mesh, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
-    drawn = Renderer(mesh, (300, 250), VIEWS["mouth"]).render(pose).astype(int)
+    _, drawn, _ = _green_teeth(person, {**EMOTION_POSES.get(emotion, {}), **shut}, "mouth")
     assert (drawn[..., 1] > drawn[..., [0, 2]].max(-1) + 40).sum() <= 2  # green pixels
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_no_tooth_or_gum_comes_through_the_chin_of_a_dropped_jaw(person):
+    """Below the lower lip a wide open mouth shows skin alone."""
+    pose, drawn, view = _green_teeth(person, {"CTRL_C_jaw.ty": 1.0}, "face")
+    bottom = np.append(pose[build_head(person).landmarks["lower_lip_bottom"]], 1)
+    _, y, _, far = view.matrix(1) @ bottom
+    chin = drawn[int(150 * (1 - y / far)) :]
+    assert drawn[..., 1].max() > 200  # teeth are seen
+    assert not (chin[..., 1] > chin[..., [0, 2]].max(-1) + 40).any()
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_upper_lip_of_a_smile_is_thinner_and_keeps_its_bow(person):
+    """Zygomaticus major stretches the lip over the teeth; its line hangs between the corners."""
+    head = build_head(person)
+    rest, smile = head.neutral, head.pose(pose_values({"*mouth_cornerPull.ty": 0.9}))
+    top, rim = head.landmarks["upper_lip_top"], head.landmarks["upper_rim"]
+    assert (smile[top] - smile[rim])[Y] < 0.9 * (rest[top] - rest[rim])[Y]
+    skin = rest[head.slices["skin"]]
+    row = (np.abs(skin[:, Y] - rest[top, Y]) < 0.12) & (skin[:, Z] > rest[top, Z] - 0.8)
+    peaks = np.flatnonzero(row & (np.abs(np.abs(skin[:, X]) - 0.55) < 0.15))
+    bow, at_rest = ((x[peaks, Y].mean() - x[top, Y]) for x in (smile, rest))
+    assert bow > at_rest - 0.01
+    upper, _ = head.lip_columns(smile[None])
+    assert upper[0, [0, -1], Y].mean() > upper[0, len(upper[0]) // 2, Y] + 0.3
 
 
 @pytest.mark.parametrize("person", PEOPLE)

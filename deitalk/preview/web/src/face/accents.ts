@@ -41,7 +41,7 @@ export class Accents {
   private inMouth(): void {
     const { facts, arrays } = this.head;
     const { teeth, mouthShadow, mouthLight, lips } = facts.accents;
-    const [rise, clear, soft, begin, fade] = mouthLight;
+    const [rise, clear, soft, begin, fade, beside] = mouthLight;
     const lip = this.rig.columns(0), x: number[] = [], y: number[] = [], z: number[] = [];
     let front = -Infinity;
     for (let i = 0; i < lip.length; i += 3) {
@@ -51,14 +51,15 @@ export class Accents {
       front = Math.max(front, lip[i + 2]);
     }
     const { vertices } = this.rig;
-    const depth = (v: number) => front - vertices[3 * v + 2];
+    const rim = (v: number) => between(x, z, vertices[3 * v]);
     const shadow = (v: number) => {
-      const under = (clear - (between(x, y, vertices[3 * v]) - vertices[3 * v + 1] - rise * depth(v))) / soft;
-      return mouthShadow * smoothstep(Math.max(under, (depth(v) - begin) / fade));
+      const depth = front + beside * (rim(v) - front) - vertices[3 * v + 2];
+      const under = (clear - (between(x, y, vertices[3 * v]) - vertices[3 * v + 1] - rise * depth)) / soft;
+      return mouthShadow * smoothstep(Math.max(under, (depth - begin) / fade));
     };
     for (let v = teeth[0]; v < teeth[1]; v++) this.values[v] = shadow(v);
     arrays.mouth.forEach((v: number) => {
-      const behind = between(x, z, vertices[3 * v]) - vertices[3 * v + 2];
+      const behind = rim(v) - vertices[3 * v + 2];
       this.values[v] = -shadow(v) * smoothstep((behind - lips[0]) / lips[1]);
     });
   }
