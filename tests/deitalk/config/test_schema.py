@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-import yaml
 
 from deitalk.config.curves import Config, TrainConfig
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
@@ -184,9 +183,3 @@ def test_yaml_tags_run_no_code(tmp_path):
 
 def test_empty_file_is_the_paper_configuration(tmp_path):
     assert load_config(written(tmp_path, "")) == Config()
-
-
-def test_configuration_survives_writing_and_reading(tmp_path):
-    config = read_training(FOLDER / "mel.yaml")
-    path = written(tmp_path, yaml.safe_dump(config.model_dump(mode="json")))
-    assert load_config(path) == config
