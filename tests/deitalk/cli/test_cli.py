@@ -12,22 +12,11 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config.curves import Config
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from tests.command import deitalk, ran, refused
-from tests.deitalk.pipeline.test_curves import SMALL
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("model") / "small"
-    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
-    return str(folder)
 
 
 @pytest.fixture(scope="module")

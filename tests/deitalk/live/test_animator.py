@@ -190,10 +190,13 @@ def listened(tiny, heard, size, **options):
 def test_a_listener_nods_after_the_phrases_it_hears_in_any_pieces(tiny, voice):
     """Phrases of the voice end at 1.2 and 3.1 s."""
     heard = np.concatenate((voice, np.zeros(RATE, np.float32)))
-    head, again = (listened(tiny, heard, size) for size in (1600, 9602))
-    nods = (head - listened(tiny, 0 * heard, 9602))[:, 1]
+    nods = 0.0
+    for seed, size in enumerate((9602, 1600)):
+        head = listened(tiny, heard, size, seed=seed)
+        alone = listened(tiny, 0 * heard, 9602, seed=seed)
+        nods = nods + (head - alone)[:, 1] / 2
     assert not nods[:36].any() and nods[40:60].min() < -0.5 and nods[96:].min() < -0.5
-    np.testing.assert_allclose(again, head, atol=1e-5)
+    np.testing.assert_allclose(listened(tiny, heard, 9602, seed=1), head, atol=1e-5)
 
 
 def test_streams_hear_each_their_own(tiny, voice):

@@ -1,10 +1,8 @@
 """Emotions of a tuned model: those that captures lack are the base's change, whatever is captured."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -21,7 +19,7 @@ from deitalk.training.tuning.regression import _jaw_share
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw
-from tests.deitalk.training.conftest import recipe
+from tests.deitalk.training.conftest import recipe, relabelled
 
 CONTROLS = default_controls()
 SPEECH = np.pad(speechlike(1.5), (4000, 4000))
@@ -35,10 +33,7 @@ def settings(base: str, *more: str) -> FinetuneConfig:
 
 def labelled(data: Path, folder: Path, emotions: str | list[str], rig: str | None = None) -> Path:
     """The dataset with these emotions, of another rig where one is given: its hinge is the jaw."""
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    table = table.assign(emotion=emotions, voice=emotions, known="")
-    table.to_csv(folder / "clips.csv", index=False)
+    relabelled(data, folder, emotion=emotions, voice=emotions, known="")
     if rig is not None:
         controls = read_controls(rig)
         for path in (folder / "curves").iterdir():
