@@ -170,7 +170,6 @@ THOROUGH = (
     "tests/deitalk/export/test_onnx_file.py::test_finished_curves_of_a_recording_are_those_of_animate[many pieces]",
     "tests/deitalk/export/test_onnx_file.py::test_finished_frames_of_live_streams",
     "tests/deitalk/export/test_onnx_file.py::test_half_precision",
-    "tests/deitalk/export/test_onnx_file.py::test_models_with_actors",
     "tests/deitalk/live/test_memory.py",
     "tests/deitalk/models/test_mesh_head.py::test_evaluation_scores_every_emotion",
     "tests/deitalk/models/test_mesh_head.py::test_training_separates_emotions",
