@@ -298,7 +298,7 @@ def test_an_unknown_precision_is_one_line(tmp_path):
 def test_models_with_actors_take_their_weights_after_the_emotions(
     frontend, settings, tmp_path, monkeypatch
 ):
-    """By the module that is traced: in its curves, or the state of its next frames."""
+    """By the module that is traced: in its curves, or those in the state of its next frames."""
     network, outputs = of_frontend(frontend, actors=("ann", "bob"), **settings), []
     with torch.no_grad():
         network.decoder.actors.weight.normal_()
@@ -307,11 +307,14 @@ def test_models_with_actors_take_their_weights_after_the_emotions(
         place = inputs.index("emotion")
         assert example[place].shape[-1] == len(LABELS) + 2
         for actor in range(2):
-            given = list(example)
+            given = [0.1 * torch.randn(example[0].shape), *example[1:]]
             given[place] = torch.zeros_like(example[place])
             given[place][..., len(LABELS) + actor] = 1
             with torch.no_grad():
-                outputs.append(torch.cat([part.flatten() for part in graph.eval()(*given)]))
+                for _ in range(15 if "state" in inputs else 1):
+                    found = graph.eval()(*given)
+                    given[-1] = found[-1] if "state" in inputs else given[-1]
+            outputs.append(torch.cat([part.flatten() for part in found]))
         return onnx.ModelProto()
 
     monkeypatch.setattr(module, "traced", acted)
