@@ -306,8 +306,9 @@ def test_models_with_actors_take_their_weights_after_the_emotions(
     def acted(graph, example, inputs, *rest):
         place = inputs.index("emotion")
         assert example[place].shape[-1] == len(LABELS) + 2
+        sound = 0.1 * torch.randn(example[0].shape)
         for actor in range(2):
-            given = [0.1 * torch.randn(example[0].shape), *example[1:]]
+            given = [sound, *example[1:]]
             given[place] = torch.zeros_like(example[place])
             given[place][..., len(LABELS) + actor] = 1
             with torch.no_grad():
