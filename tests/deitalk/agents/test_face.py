@@ -59,10 +59,10 @@ def mouth_from_rest(face, curves):
 
 @pytest.mark.parametrize(
     ("size", "rate"),
-    [(None, 16_000), (None, 48_000), (640, 22_050), (3_334, 8_000), (3_334, 24_000)],
+    [(None, 16_000), (None, 48_000), (1_282, 22_050), (3_334, 8_000)],
 )
 def test_sound_is_passed_on_whole_and_in_step_with_its_frames(face, voice, rate, size):
-    sound = pcm(at_rate(voice[: 2 * RATE], rate))
+    sound = pcm(at_rate(voice[:RATE], rate))
     for _ in range(2):  # two turns
         pieces = spoken(face, sound, rate, size)
         joined = b"".join(piece.sound for piece in pieces)

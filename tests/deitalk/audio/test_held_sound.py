@@ -40,7 +40,7 @@ def vowel(name, seconds, pitch=120.0, vibrato=0.0, swell_db=0.0) -> Float32:
 
 
 VOWELS = {
-    "5 s": ("AA", 5), "8 s": ("AA", 8), "12 s": ("EH", 12), "rounded": ("OW", 8),
+    "5 s": ("AA", 5), "12 s": ("EH", 12), "rounded": ("OW", 8),
     "high": ("EH", 5, 260.0), "sung": ("EH", 6, 440.0, 0.02),
     "vibrato": ("AA", 8, 200.0, 0.03), "swell": ("EH", 6, 150.0, 0, 6.0),
 }  # fmt: skip

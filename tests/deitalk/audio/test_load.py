@@ -61,26 +61,6 @@ def test_formats_give_the_same_waveform(tmp_path, suffix, tolerance):
     assert np.abs(waveform[2000:14000] - tone(16000)[2000:14000]).max() < tolerance
 
 
-@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
-def test_containers_keep_frequency_and_length(tmp_path, suffix):
-    path = tmp_path / f"-tone.{suffix}"  # a leading dash is no option
-    write_sound(path, np.stack([tone(48000)] * 2, 1), 48000, picture=suffix in ("mp4", "mov"))
-    for source in (path, path.read_bytes()):
-        recording = load_audio(source)
-        assert (recording.channels, recording.source_rate) == (2, 48000)
-        assert recording.duration == pytest.approx(1.0, abs=0.1)
-        spectrum = np.abs(np.fft.rfft(recording.waveform[4000:12000]))
-        assert spectrum.argmax() * 2 == 440
-
-
-@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
-def test_containers_keep_the_time_of_a_click(tmp_path, suffix):
-    samples = np.zeros((48000, 1))
-    samples[24000] = 0.9
-    path = write_sound(tmp_path / f"click.{suffix}", samples, 48000)
-    assert np.abs(load_audio(path).waveform).argmax() == pytest.approx(8000, abs=2)
-
-
 def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
     path = tmp_path / "a.mp3"
     sf.write(path, tone(16000) + rng.normal(0, 0.05, 16000), 16000)
@@ -152,7 +132,7 @@ def test_damaged_containers_give_an_error_of_one_line_or_a_recording(tmp_path, r
     for suffix in ("m4a", "mp4", "webm", "mp3", "aac", "wma", "mka"):
         path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(16000, 0.5)], 1), 16000)
         content = np.frombuffer(path.read_bytes(), np.uint8)
-        for _ in range(20):
+        for _ in range(8):
             damaged = content[: rng.integers(20, len(content) + 1)].copy()
             where = rng.integers(0, len(damaged), rng.integers(1, 30))
             damaged[where] = rng.integers(0, 256, len(where))

@@ -5,14 +5,9 @@ from typing import ClassVar
 
 import pytest
 import soundfile
-import torch
 
 from deitalk.batch.run import animate_batch
-from deitalk.config.curves import Config
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from tests.deitalk.pipeline.test_curves import SMALL
 
 
 class InProcess:
@@ -41,14 +36,6 @@ def orders(monkeypatch):
     monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
     InProcess.orders.clear()
     return InProcess.orders
-
-
-@pytest.fixture(scope="session")
-def model(tmp_path_factory):
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("model") / "small"
-    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
-    return str(folder)
 
 
 @pytest.fixture(scope="session")

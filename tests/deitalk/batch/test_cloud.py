@@ -40,12 +40,6 @@ def test_url_gives_the_files_of_a_folder(run, memory):
     assert {"c/take.json", "c/c.unreal.json", "c.csv", SUMMARY} <= names(memory)
 
 
-def test_second_run_at_a_url_does_nothing(run, orders, memory):
-    run("memory://in", "memory://out")
-    orders.clear()
-    assert run("memory://in", "memory://out").counts["unchanged"] == 3 and not orders
-
-
 def test_another_machine_goes_on_with_the_journal(run, orders, memory, tmp_path):
     run("memory://in", "memory://out")
     shutil.rmtree(tmp_path / "cache")

@@ -159,12 +159,6 @@ def test_content_of_a_track_is_part_of_the_key(run, lines):
     assert status(run(manifest)) == {"anna/a": "done"}
 
 
-def test_removed_output_is_made_again(run):
-    run()
-    (run.out / "c.csv").unlink()
-    assert status(run())["c"] == "done" and (run.out / "c.csv").is_file()
-
-
 def test_edited_output_stays(run):
     run()
     (run.out / "c.csv").write_text("edited")

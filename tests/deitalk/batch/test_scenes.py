@@ -44,7 +44,7 @@ def takes_of(out):
 
 
 def test_scene_is_the_same_whatever_the_order_of_the_work(run, lines, model, rng, monkeypatch):
-    table = scene(lines, rng, 12)
+    table = scene(lines, rng, 6)
     run(table, out=run.out / "one")
     monkeypatch.setattr(InProcess, "run", backwards(InProcess.run))
     run(table, out=run.out / "other")

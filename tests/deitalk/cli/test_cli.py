@@ -6,30 +6,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import soundfile
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config.curves import Config
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
-from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from rig import default_controls, read_curves
+from rig import read_curves
 from tests.command import deitalk, ran, refused
-from tests.deitalk.pipeline.test_curves import SMALL
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("model") / "small"
-    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
-    return str(folder)
 
 
 @pytest.fixture(scope="module")
@@ -134,38 +121,6 @@ def test_errors_are_reported_before_the_network_is_loaded(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.strip() == "[]" and "no.wav" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "expected"),
-    [
-        ("missing.wav", None, "missing.wav"),
-        ("empty.wav", b"", "empty"),
-        ("text.wav", b"this is a letter, not a recording\n" * 20, "text.wav"),
-    ],
-)
-def test_bad_audio_is_refused_in_one_line(tmp_path, model, name, data, expected):
-    if data is not None:
-        (tmp_path / name).write_bytes(data)
-    line = refused("animate", tmp_path / name, "--model", model, "-o", tmp_path / "take")
-    assert expected in line
-
-
-def test_silence_shows_no_emotion_and_a_shut_mouth(tmp_path, model):
-    """Speech is far from all of it; what moves no lips is the neutral reading's."""
-    soundfile.write(tmp_path / "quiet.wav", np.zeros(16_000), 16_000)
-    faces = []
-    for emotion in ("angry", "neutral"):
-        out = tmp_path / f"{emotion}.npz"
-        done = deitalk(
-            "animate", tmp_path / "quiet.wav", "-e", emotion, "--model", model, "-o", out
-        )
-        assert done.code == 0, done.err
-        faces.append(read_curves(out).values)
-    controls = default_controls()
-    mouth = ControlGroups(controls).follows_mouth
-    np.testing.assert_allclose(faces[0], faces[1], atol=1e-6)
-    np.testing.assert_allclose(faces[0][:, mouth], np.tile(controls.rest[mouth], (30, 1)))
 
 
 @pytest.mark.parametrize(

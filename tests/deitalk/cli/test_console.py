@@ -83,17 +83,14 @@ def run(folder, *arguments, **environment):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file names")
-@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
-def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
+def test_convert_takes_file_names_that_are_no_utf8(tmp_path):
     source, target = os.path.join(os.fsencode(tmp_path), b"\xff.csv"), b"t\xfe[b].json"
     write_curves(tmp_path / "c.csv", rest_curves(3, controls=default_controls()))
     os.rename(tmp_path / "c.csv", source)
-    done = run(tmp_path, "convert", source, target, LC_ALL=locale, PYTHONUTF8="0")
+    done = run(tmp_path, "convert", source, target, LC_ALL="C", PYTHONUTF8="0")
     assert done.returncode == 0, done.stderr
     assert done.stderr == rb"t\xfe[b].json: json, 3 frames at 30 fps" + b"\n"
-    done = run(tmp_path, "convert", source, target, "--force", "--json", LC_ALL=locale)
-    assert json.loads(done.stdout)["out"] == r"t\xfe[b].json"
-    done = run(tmp_path, "convert", source, target, LC_ALL=locale)
+    done = run(tmp_path, "convert", source, target, LC_ALL="C.UTF-8")
     assert done.returncode == 1 and done.stderr.startswith(rb"deitalk: t\xfe[b].json exists")
 
 

@@ -123,16 +123,6 @@ def test_errors_are_one_line(curves_file, tmp_path, arguments, message, monkeypa
     assert message in str(result.exception) and "\n" not in str(result.exception)
 
 
-def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
-    good = run("validate", curves_file)
-    assert good.exit_code == 0 and "30 frames at 30 fps" in good.stdout
-    (tmp_path / "bad.csv").write_text("frame,time\n0,0\n")
-    bad = run("validate", tmp_path / "bad.csv", "--json")
-    assert bad.exit_code == 1
-    report = json.loads(bad.stdout)
-    assert report["ok"] is False and report["findings"][0]["level"] == "error"
-
-
 @pytest.mark.parametrize(
     ("jaw_at_end", "options", "verdict", "code"),
     [

@@ -3,15 +3,13 @@
 from pathlib import Path
 
 import pytest
-import yaml
 
-from deitalk.config.curves import Config, TrainConfig
+from deitalk.config.curves import Config
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
 from deitalk.config.load import load_config, load_model_config, parse_config
 from deitalk.config.rules import RulesConfig
-from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
-from deitalk.research.config import MeshTrainConfig, TrainingConfig, read_training
+from deitalk.research.config import TrainingConfig, read_training
 from tests.errors import one_line
 
 FOLDER = Path(__file__).resolve().parents[3] / "configs"
@@ -77,18 +75,6 @@ def test_sdfa_encoder_has_the_numbers_of_the_paper():
     assert (2 * mel.time_hidden, mel.time_layers) == (512, 2)  # Table 2
     assert (mel.recurrence, mel.weight_norm, mel.centre) == ("window", True, False)
     assert config.model_copy(update={"name": "deitalk"}).loss == TrainingConfig().loss
-
-
-@pytest.mark.parametrize("kind", [TrainConfig, MeshTrainConfig])
-def test_both_trainings_have_the_settings_of_optimisation(kind):
-    """Batches and epochs are of windows or of frames; all else is equal, limits included."""
-    unlike = {"batch_size", "epochs"}
-    for name, field in Optimisation.model_fields.items():
-        own = kind.model_fields[name]
-        if name not in unlike:
-            assert (own.annotation, own.default) == (field.annotation, field.default)
-            assert own.metadata == field.metadata and own.description == field.description
-    assert unlike <= set(kind.model_fields)
 
 
 @pytest.mark.parametrize(("recipe", "model"), [("measured_lips", "mel")])
@@ -184,9 +170,3 @@ def test_yaml_tags_run_no_code(tmp_path):
 
 def test_empty_file_is_the_paper_configuration(tmp_path):
     assert load_config(written(tmp_path, "")) == Config()
-
-
-def test_configuration_survives_writing_and_reading(tmp_path):
-    config = read_training(FOLDER / "mel.yaml")
-    path = written(tmp_path, yaml.safe_dump(config.model_dump(mode="json")))
-    assert load_config(path) == config

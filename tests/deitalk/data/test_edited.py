@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -118,7 +119,7 @@ POSES = [
 
 
 @pytest.mark.parametrize("form", ["livelink", "csv"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_edited_arkit_shapes_come_back_as_shapes(take, form, seed, tmp_path):
     """52 shapes cannot say what 185 controls do: they are compared as shapes, within .01."""
     shapes, rng = convert(read_curves(take / "curves.json"), ARKIT_ID), np.random.default_rng(seed)
@@ -158,7 +159,7 @@ def test_shapes_that_no_face_has_are_named(take, tmp_path):
     assert "LeftEyeYaw are not read: the shapes EyeLook… turn the eyes" in notes
 
 
-SHIFTED = ((0, 8), (3, 0), (-3, 0), (2, 8), (-4, 5))
+SHIFTED = ((3, 0), (2, 8), (-4, 5))
 
 
 @pytest.mark.parametrize("of_take", [True, False])
@@ -186,10 +187,10 @@ def test_delay_and_handles_are_undone(take, delay, handles, of_take, tmp_path):
 
 
 FILM = {"delay": 2, "handles": 8}
+RATES = [(24, {}), (25, FILM), (29.97, {}), (48, {}), (50, FILM), (60, FILM)]
 
 
-@pytest.mark.parametrize("form", [{}, FILM], ids=["plain", "handles"])
-@pytest.mark.parametrize("fps", [24, 25, 29.97, 48, 50, 60])
+@pytest.mark.parametrize(("fps", "form"), RATES)
 def test_edits_come_back_at_the_rate_of_the_take(performance, fps, form, tmp_path):
     """Every frame but the handles and what a delay holds, steps too: a layer applies at that rate."""
     take = performance.save(tmp_path / "take", fps=fps, **form)
@@ -269,8 +270,10 @@ def bumped(take, tmp_path_factory):
     return [line.split(",") for line in path.read_text().splitlines()]
 
 
-@pytest.mark.parametrize("sheet", SHEETS)
-@pytest.mark.parametrize("hands", HANDS)
+@pytest.mark.parametrize(
+    ("hands", "sheet"),
+    [*zip(HANDS, cycle(SHEETS)), *(("columns in another order", sheet) for sheet in [*SHEETS][1:])],
+)
 def test_what_hands_make_of_a_table_is_the_same_edit(take, bumped, hands, sheet, tmp_path):
     change, note = HANDS[hands]
     path = laid_out(change([list(row) for row in bumped]), tmp_path / "e.csv", sheet)

@@ -262,13 +262,3 @@ def test_unwritable_intensity_leaves_the_old_file(tmp_path):
         )
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["intensity.csv"]
-
-
-@pytest.mark.parametrize(
-    ("times", "values"), [([1.0, 0.0], [1.0, 2.0]), ([0.0, 1.0], [1.0]), ([], [])]
-)
-def test_times_of_tracks_rise(times, values):
-    with one_line(EmotionError, match="times must be seconds that rise"):
-        IntensityCurve(np.array(times), np.array(values))
-    with one_line(EmotionError, match="times must be seconds that rise"):
-        EmotionTrack(np.array(times), np.ones((len(values), 1)) * np.eye(5)[0])

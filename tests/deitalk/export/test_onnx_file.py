@@ -17,6 +17,7 @@ from deitalk.audio.frames import frame_count
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS, IntensityCurve
 from deitalk.errors import CheckpointError
+from deitalk.export import onnx_file as module
 from deitalk.export.finished import FinishedClip
 from deitalk.export.finished_live import FinishedLive
 from deitalk.live.animator import LiveAnimator
@@ -24,7 +25,6 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.tracing import OPSET
 from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
-from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.command import ran
 from tests.deitalk.models.test_onnx import CAUSAL, CONTROL_FLOW, WHISPER, of_frontend
 
@@ -34,12 +34,11 @@ from deitalk.export.onnx_file import export_onnx, operators  # noqa: E402
 
 TOLERANCE = 1e-4
 """Of a control's range."""
-SAMPLES = ("promise", "amiable")
 REST = 0.5
 """Share of the expression that stays in silence."""
 
 
-LIVE = "live", pytest.param("small", marks=pytest.mark.thorough)
+LIVE = "live", pytest.param("small", marks=pytest.mark.slow)
 """Embedded models of voices that have not ended."""
 
 
@@ -101,11 +100,6 @@ def assert_same(found, made, controls):
     np.testing.assert_allclose(predicted, made.predicted, atol=TOLERANCE)
 
 
-@pytest.fixture(scope="module")
-def default():
-    return load_model("default")
-
-
 def recorded(name):
     return np.array(load_audio(f"docs/samples/{name}.flac").waveform)
 
@@ -125,13 +119,11 @@ def sounds():
     noise = np.random.default_rng(0).normal(0, 0.01, 48_000).astype(np.float32)
     silence = np.zeros(24_000, np.float32)
     return {
-        "whole": speech,
         "cut in speech": speech[8_000:40_000],
         "one frame": speech[20_000:20_400],
-        "half a second": speech[8_000:16_000],
         "under 0.35 s": speech[20_000:25_000],
         "one more sample": speech[8_000:24_001],
-        "a pause": np.concatenate((speech[8_000:40_000], silence, silence, speech[60_000:90_000])),
+        "a pause": np.concatenate((speech[8_000:32_000], silence, silence, speech[60_000:84_000])),
         "a short end": np.concatenate((speech[8_000:40_000], silence[:5_000])),
         "a long end": np.concatenate((speech[8_000:40_000], silence, silence)),
         "noise": noise,
@@ -141,7 +133,7 @@ def sounds():
         "a held vowel": np.concatenate((speech[8_000:24_000], vowel(2.0), speech[24_000:40_000])),
         "held sounds": np.concatenate((vowel(1.2), still, vowel(0.8), still, still, vowel(2, 200))),
         "offset": 0.05 + speech[:48_000],
-        "many pieces": np.concatenate((speech, 0.2 * speech, speech)),
+        "many pieces": np.concatenate((speech, 0.2 * speech, speech[:60_000])),
     }
 
 
@@ -153,9 +145,8 @@ def test_finished_curves_of_a_recording_are_those_of_animate(kind, clip, default
     assert_same(finished(clip, sound, emotion), made, default.controls)
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_an_intensity_curve_and_a_factor_are_applied(name, clip, default):
-    sound = recorded(name)[:100_000]
+def test_an_intensity_curve_and_a_factor_are_applied(clip, default):
+    sound = recorded("amiable")[:48_000]
     times = np.arange(frame_count(len(sound))) / 30
     curve = 0.5 + 0.5 * np.sin(times)
     made = animate(
@@ -223,9 +214,9 @@ def test_finished_frames_of_live_streams_are_those_of_the_animator(voices):
     speech = recorded("promise")
     pause = np.zeros(30_000, np.float32)
     sounds = [
-        np.concatenate((speech[:60_000], pause, vowel(2.0), pause[:9_000], vowel(1.0))),
-        np.concatenate((0.1 * speech[30_000:70_000], pause, pause, speech[:30_000])),
-        np.random.default_rng(0).normal(0, 0.02, 60_000).astype(np.float32),
+        np.concatenate((speech[8_000:32_000], vowel(1.5), pause[:9_000], vowel(0.6))),
+        np.concatenate((0.1 * speech[30_000:50_000], pause, speech[8_000:24_000])),
+        np.random.default_rng(0).normal(0, 0.02, 40_000).astype(np.float32),
     ]
     emotions, factors = ("happy", "disgust", "neutral"), (1.0, 0.6, 1.3)
     name, session = voices
@@ -277,9 +268,11 @@ def test_files_have_standard_operators_without_control_flow(exported, name):
 
 
 def test_half_precision_is_half_the_size_and_changes_nothing_of_embedded_models(
-    exported, tmp_path, default
+    exported, tmp_path, default, monkeypatch
 ):
-    """Their weights are kept in it."""
+    """Their weights are kept in it. The graph is that of whole precision, which takes long to make."""
+    content = onnx.load(exported("default"))
+    monkeypatch.setattr(module, "_clip", lambda model: (content, {}))
     ran("model", "export", "default", "-o", tmp_path / "half.onnx", "--precision", "float16")
     whole = exported("default").stat().st_size
     assert (tmp_path / "half.onnx").stat().st_size < 0.52 * whole
@@ -302,24 +295,34 @@ def test_an_unknown_precision_is_one_line(tmp_path):
     [(WHISPER, {}), (CAUSAL | {"layers": (2, 3)}, {"positions": False})],
     ids=["clip", "live"],
 )
-def test_models_with_actors_take_their_weights_after_the_emotions(frontend, settings, tmp_path):
-    network = of_frontend(frontend, actors=("ann", "bob"), **settings)
+def test_models_with_actors_take_their_weights_after_the_emotions(
+    frontend, settings, tmp_path, monkeypatch
+):
+    """By the module that is traced: in its curves, or those in the state of its next frames."""
+    network, outputs = of_frontend(frontend, actors=("ann", "bob"), **settings), []
     with torch.no_grad():
         network.decoder.actors.weight.normal_()
+
+    def acted(graph, example, inputs, *rest):
+        place = inputs.index("emotion")
+        assert example[place].shape[-1] == len(LABELS) + 2
+        sound = 0.1 * torch.randn(example[0].shape)
+        for actor in range(2):
+            given = [sound, *example[1:]]
+            given[place] = torch.zeros_like(example[place])
+            given[place][..., len(LABELS) + actor] = 1
+            with torch.no_grad():
+                for _ in range(15 if "state" in inputs else 1):
+                    found = graph.eval()(*given)
+                    given[-1] = found[-1] if "state" in inputs else given[-1]
+            outputs.append(torch.cat([part.flatten() for part in found]))
+        return onnx.ModelProto()
+
+    monkeypatch.setattr(module, "traced", acted)
     export_onnx(network, tmp_path / "x.onnx")
-    session = opened(tmp_path / "x.onnx")
-    (width,) = (entry.shape[1] for entry in session.get_inputs() if entry.name == "emotion")
-    assert width in (len(LABELS) + 2, "emotion_dim_1")
-    assert json.loads(session.get_modelmeta().custom_metadata_map["actors"]) == ["ann", "bob"]
-
-
-def test_speech_like_noise_of_any_length(clip, default):
-    for seconds in (0.1, 0.4, 11.0):
-        sound = speechlike(seconds)
-        made = animate(
-            sound, "happy", sample_rate=16_000, model=default, life="off", variant="plain"
-        )
-        assert_same(finished(clip, sound, "happy"), made, default.controls)
+    assert (outputs[0] - outputs[1]).abs().max() > 0.01
+    texts = {entry.key: entry.value for entry in onnx.load(tmp_path / "x.onnx").metadata_props}
+    assert json.loads(texts["actors"]) == ["ann", "bob"]
 
 
 def test_a_model_without_a_graph_is_refused_in_one_line(tmp_path):

@@ -76,8 +76,8 @@ def test_frame_depends_on_no_sound_beyond_the_look_ahead(looking, voice, rng, se
 def test_frames_are_given_as_soon_as_their_look_ahead_has_come(looking, voice):
     animator = LiveAnimator(looking[0])
     given = 0
-    for stop in range(160, 3 * RATE // 2, 160):
-        given += len(animator.feed(voice[stop - 160 : stop]))
+    for stop in range(400, RATE, 400):
+        given += len(animator.feed(voice[stop - 400 : stop]))
         known = math.floor((stop / RATE - animator.lookahead_seconds) * 30) + 1
         assert given == max(known, 0)
 
@@ -110,7 +110,7 @@ def test_mouth_rests_in_silence(tiny):
     assert np.abs(frames - tiny.controls.rest)[:, mouth].max() < 1e-6
 
 
-@pytest.mark.parametrize("rest", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("rest", [0.0, 1.0])
 def test_expression_rests_in_silence_and_rest_changes_it(tiny, rest):
     """Before any speech as after it; over a fifth of a second."""
     live = LiveAnimator(tiny, "happy", rest=rest, life="off")
@@ -143,10 +143,10 @@ def test_other_rates_and_integers_are_read(tiny, voice):
     assert len(whole(tiny, twice, sample_rate=2 * RATE)) == 93
 
 
-@pytest.mark.parametrize("size", [1, 3, 4801, 10**6])
+@pytest.mark.parametrize("size", [1, 1601, 10**6])
 def test_bytes_may_end_within_a_sample(tiny, voice, size):
     """A chunk of an HTTP body has any length; the byte is kept for the next call."""
-    sent = np.round(voice[:4000] * 32767).astype("<i2").tobytes() + b"\x01"
+    sent = np.round(voice[:1600] * 32767).astype("<i2").tobytes() + b"\x01"
     expected = whole(tiny, sent[:-1], life="off")
     animator = LiveAnimator(tiny, life="off")
     for _ in range(2):
@@ -169,11 +169,11 @@ def test_a_byte_is_kept_for_each_of_several_streams(tiny, voice):
 
 
 def test_blinks_are_those_of_the_seed(tiny):
-    silence = np.zeros(20 * RATE, np.float32)
+    silence = np.zeros(10 * RATE, np.float32)
     lid = tiny.controls.index("CTRL_L_eye_blink.ty")
     first, same, other = (whole(tiny, silence, seed=seed)[:, lid] for seed in (1, 1, 2))
     assert np.array_equal(first, same) and not np.array_equal(first, other)
-    assert first.max() > 0.9 and 2 <= np.sum(np.diff((first > 0.8).astype(int)) == 1) <= 15
+    assert first.max() > 0.9 and 1 <= np.sum(np.diff((first > 0.8).astype(int)) == 1) <= 8
 
 
 def listened(tiny, heard, size, **options):
@@ -191,12 +191,12 @@ def test_a_listener_nods_after_the_phrases_it_hears_in_any_pieces(tiny, voice):
     """Phrases of the voice end at 1.2 and 3.1 s."""
     heard = np.concatenate((voice, np.zeros(RATE, np.float32)))
     nods = 0.0
-    for seed, size in enumerate((4801, 1600)):
+    for seed, size in enumerate((9602, 1600)):
         head = listened(tiny, heard, size, seed=seed)
-        alone = listened(tiny, 0 * heard, 4801, seed=seed)
+        alone = listened(tiny, 0 * heard, 9602, seed=seed)
         nods = nods + (head - alone)[:, 1] / 2
     assert not nods[:36].any() and nods[40:60].min() < -0.5 and nods[96:].min() < -0.5
-    np.testing.assert_allclose(listened(tiny, heard, 4801, seed=1), head, atol=1e-5)
+    np.testing.assert_allclose(listened(tiny, heard, 9602, seed=1), head, atol=1e-5)
 
 
 def test_streams_hear_each_their_own(tiny, voice):

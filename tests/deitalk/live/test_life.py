@@ -7,8 +7,11 @@ from deitalk.emotions import LABELS
 from deitalk.live.cues import RunningCues
 from deitalk.live.intensity import Measures
 from deitalk.postprocess.life.amounts import Life
+<<<<<<< HEAD
 from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.face import STEMS
+=======
+>>>>>>> w-t1
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import ACCENT, END, PAUSE, SPEECH, START, STRESS, Cues
 from deitalk.postprocess.tracks import MotionTracks
@@ -33,17 +36,13 @@ def voice(frames=240, every=60):
     return measures, np.ones(frames, bool)
 
 
-def moved(
-    measures, speaking, *, piece=None, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
-):
+def moved(measures, speaking, *, piece=None, life=ONLY_BROWS, seed=0):
     """Curves and head of a face at rest; by pieces of so many frames, else with all cues known."""
     running, stream = RunningCues(AHEAD), MotionStreams([Character(Seeds((0, 0, seed)), life)])
     state, count, done, out, heads = running.first(1), len(speaking), 0, [], []
-    mixture = np.zeros((count, len(LABELS)), np.float32)
-    mixture[:, LABELS.index(emotion)] = strength
     if piece is None:
         stream.cue(cues(measures, speaking))
-        return played(stream, speaking[:-AHEAD], mixture[:-AHEAD])
+        return played(stream, speaking[:-AHEAD])
     for start in range(0, count, piece):
         part = slice(start, start + piece)
         found, state = running(
@@ -51,44 +50,54 @@ def moved(
         )
         stream.cue(found)
         stop = max(min(start + piece, count) - AHEAD, done)
-        curves, head = played(stream, speaking[done:stop], mixture[done:stop])
+        curves, head = played(stream, speaking[done:stop])
         out.append(curves)
         heads.append(head)
         done = stop
     return np.concatenate(out), np.concatenate(heads)
 
 
-def played(stream, speaking, mixture):
+def played(stream, speaking):
     """Curves of a face at rest and the head of the next frames."""
-    curves = np.zeros((len(speaking), len(CONTROLS)), np.float32)
-    if not len(curves):
-        return curves, np.zeros((0, 6), np.float32)
-    motion = stream.move(speaking[None], mixture[None])
-    tracks = MotionTracks(*(track[0] for track in motion.tracks))
-    STAGES.play(curves, curves.copy(), tracks)
-    return curves, motion.head[0]
+    if not len(speaking):
+        return np.zeros((0, len(CONTROLS)), np.float32), np.zeros((0, 6), np.float32)
+    motion = stream.move(speaking[None], np.zeros((1, len(speaking), len(LABELS)), np.float32))
+    return shown(motion, 0), motion.head[0]
+
+
+def shown(motion, stream):
+    """Curves of the face of a stream, at rest but for its motion."""
+    curves = np.zeros((motion.head.shape[1], len(CONTROLS)), np.float32)
+    STAGES.play(curves, curves.copy(), MotionTracks(*(track[stream] for track in motion.tracks)))
+    return curves
+
+
+def faces(count, life=Life()):
+    """Faces of so many seeds, side by side."""
+    return MotionStreams([Character(Seeds((0, 0, seed)), life) for seed in range(count)])
+
+
+def to_each(found, count):
+    """The cues of one voice for so many streams."""
+    return Cues.joined([found._replace(stream=found.stream + k) for k in range(count)])
+
+
+def spoken_by(streams, count, measures, speaking):
+    """Motion of faces that speak with one voice."""
+    streams.cue(to_each(cues(measures, speaking), count))
+    rows = np.tile(speaking[:-AHEAD], (count, 1))
+    return streams.move(rows, np.zeros((*rows.shape, len(LABELS)), np.float32))
 
 
 KINDS = {"start": START, "end": END, "speech": SPEECH, "pause": PAUSE, "accent": ACCENT,
          "stress": STRESS}  # fmt: skip
 
 
-CUES: dict[bytes, Cues] = {}
-"""Of voices that were heard before: faces of many seeds and emotions speak with one voice."""
-
-
 def cues(measures, speaking, kind=None):
-    heard = b"".join(track.tobytes() for track in (*measures, speaking))
-    if heard not in CUES:
-        running = RunningCues(AHEAD)
-        given = Measures(*(track[None] for track in measures)), speaking[None]
-        CUES[heard] = running(*given, running.first(1))[0]
-    found = CUES[heard]
+    running = RunningCues(AHEAD)
+    given = Measures(*(track[None] for track in measures)), speaking[None]
+    found, _ = running(*given, running.first(1))
     return found if kind is None else found.where(found.kind == kind)
-
-
-def brows(**options):
-    return moved(*voice(), **options)[0]
 
 
 def syllables(frames=900, every=12, pause=(400, 500)):
@@ -142,7 +151,7 @@ def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
 
 
 def test_pieces_give_the_same_motion():
-    spoken = syllables(240, pause=(100, 140))
+    spoken = syllables(120, pause=(50, 80))
     whole, head = moved(*spoken, life=Life())
     for piece in (1, 7):
         curves, turned = moved(*spoken, life=Life(), piece=piece)
@@ -152,28 +161,20 @@ def test_pieces_give_the_same_motion():
     assert np.abs(other - whole).max() > 0.1 and np.abs(turned - head).max() > 0.3
 
 
-def test_anger_knits_the_brows_between_accents():
-    flat = np.full(600, -20.0), np.zeros(600), np.full(600, 40.0), np.ones(600)
-    level = Measures(*flat, flat[0]), np.ones(600, bool)
-    calm, angry = (moved(*level, emotion=emotion)[0][60:] for emotion in ("neutral", "angry"))
-    for stem, least in (("brow_lateral", 0.03), ("eye_squintInner", 0.05), ("brow_down", 0.05)):
-        assert np.percentile(column(angry, stem) - column(calm, stem), 5) > least, stem
-
-
 def test_gaze_is_averted_within_long_phrases():
-    level = np.full(3600, -20.0)
-    zeros, speaking = np.zeros(3600), np.ones(3600, bool)
+    level = np.full(1800, -20.0)
+    zeros, speaking = np.zeros(1800), np.ones(1800, bool)
     measures = Measures(level, zeros, zeros + 40, zeros + 1, level)
     curves, _ = moved(measures, speaking, life=Life(blinks=0, brows=0, head=0))
     sideways = np.abs(curves[:, CONTROLS.index("CTRL_L_eye.tx")]) * 40
     away = sideways > 4.5
-    assert 3 < (away[1:] & ~away[:-1]).sum() < 60  # in two minutes without a pause
+    assert 1 < (away[1:] & ~away[:-1]).sum() < 30  # in a minute without a pause
 
 
 def test_motion_before_an_accent_does_not_depend_on_it():
     """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
     measures, speaking = voice()
-    accented = brows()
+    accented, _ = moved(measures, speaking)
     calm, _ = moved(
         measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking
     )
@@ -181,77 +182,31 @@ def test_motion_before_an_accent_does_not_depend_on_it():
     assert max(column(accented, s)[60:100].max() for s in ("brow_raiseIn", "brow_down")) > 0.1
 
 
-def test_emotion_decides_what_moves():
-    moving = {e: brows(emotion=e) for e in LABELS}
-    sizes = {e: {s: np.ptp(column(moving[e], s)[50:]) for s in STEMS} for e in LABELS}
-    assert sizes["angry"]["brow_down"] > sizes["happy"]["brow_down"] + 0.05
-    assert sizes["happy"]["eye_cheekRaise"] > sizes["sad"]["eye_cheekRaise"] + 0.05
-    assert sizes["surprised"]["brow_raiseOut"] > sizes["angry"]["brow_raiseOut"] + 0.02
-    still = [i for i, n in enumerate(CONTROLS.names) if not any(s in n for s in STEMS)]
-    assert not brows()[:, still].any()
-    nothing, head = moved(*voice(), life=Life(blinks=0, gaze=0, brows=0, head=0))
-    assert not nothing.any() and not head.any()
-
-
-def pitches(measures, speaking, count=8, **options):
-    """Mean pitch of the head over seeds [shape=(T,)], degrees."""
-    heads = [moved(measures, speaking, life=Life(), seed=k, **options)[1] for k in range(count)]
-    return np.mean(heads, axis=0)[:, 1]
-
-
 def test_head_is_lowest_a_fifth_of_a_second_after_syllables_and_sinks_after_phrases():
-    pitch = pitches(*syllables())
+    pitch = spoken_by(faces(8), 8, *syllables()).head[..., 1].mean(axis=0)
     beats = pitch[60:396].reshape(-1, 12).mean(axis=0)
     assert 3 <= beats.argmin() <= 8 and np.ptp(beats) > 0.4
     assert pitch[412:426].min() < pitch[60:396].mean() - 0.1
     assert pitch[480:498].mean() > pitch[412:426].mean() + 0.3, "ready for the next phrase"
 
 
-def test_head_holds_the_emotions_posture_and_the_neck_breathes():
-    curves, head = moved(*syllables(), life=Life(), emotion="sad")
-    assert head[200:390, 1].mean() < -2
-    half = moved(*syllables(), life=Life(head=0.5), emotion="sad")[1]
-    np.testing.assert_allclose(half, head / 2, atol=1e-5)
-    neck = CONTROLS.index("CTRL_neck_throatExhaleInhale.ty")
-    assert curves[410:440, neck].max() > 0.3 and curves[150:390, neck].max() < 0.02
-
-
-def test_intensity_0_moves_like_a_neutral_voice():
-    calm = moved(*syllables(), life=Life(), emotion="happy", strength=0.0)
-    for mine, neutral in zip(calm, moved(*syllables(), life=Life()), strict=True):
-        np.testing.assert_array_equal(mine, neutral)
-
-
-def test_eyes_turn_against_the_head_and_rest_where_they_are_told():
-    column_of = CONTROLS.index("CTRL_L_eye.tx")
-    still, (turned, head), told = (
-        moved(*syllables(), life=Life(blinks=0, **options))
-        for options in ({"head": 0}, {}, {"look_at": (20.0, 0.0, 65.0)})
-    )
-    difference = turned[:, column_of] - still[0][:, column_of]
-    np.testing.assert_allclose(40 * difference, head[:, 0], atol=1e-3)
-    np.testing.assert_allclose(told[0][30:, column_of] - turned[30:, column_of], 0.5, atol=1e-4)
-
-
 def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases():
     lid, begins = CONTROLS.index("CTRL_L_eye_blink.ty"), np.zeros(1800)
-    measures, speaking = syllables(1800, pause=(900, 960))
-    for seed in range(8):
-        closed = moved(measures, speaking, life=Life(head=0), seed=seed)[0][:, lid] > 0.4
+    motion = spoken_by(faces(8, Life(head=0)), 8, *syllables(1800, pause=(900, 960)))
+    for stream in range(8):
+        closed = shown(motion, stream)[:, lid] > 0.4
         begins[1 : len(closed)] += closed[1:] & ~closed[:-1]
     assert 10 <= begins.sum() / 8 <= 26, "a minute"
     assert begins[904:914].mean() > 2 * begins[60:900].mean()
 
 
-@pytest.mark.parametrize("piece", [1, 7])
-def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
+def test_eyes_turn_to_another_place_within_a_fifth_of_a_second():
     """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
     still = Life(blinks=0, gaze=0, head=0, brows=0)
     stream, given = MotionStreams([Character(Seeds((0, 0, 0)), still)]), []
     stream.look_at(0, (20.0, 0.0, 65.0), 140)
-    for _ in range(0, 210, piece):
-        mixture = np.zeros((piece, len(LABELS)), np.float32)
-        given.append(played(stream, np.ones(piece, bool), mixture)[0])
+    for _ in range(0, 210, 7):
+        given.append(played(stream, np.ones(7, bool))[0])
     faces = np.concatenate(given)
     eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])
     assert not faces[:140].any()
@@ -301,14 +256,11 @@ def test_a_stream_that_begins_again_moves_as_at_first():
 
 
 def test_a_listener_nods_at_the_ends_of_the_others_phrases():
-    measures, speaking = syllables(600, every=12, pause=(300, 330))
-    silent, calm = np.zeros((1, 600), bool), np.zeros((1, 600, len(LABELS)), np.float32)
-    pitch = np.zeros(600)
-    for seed in range(16):
-        streams = [MotionStreams([Character(Seeds((0, 0, seed)))]) for _ in range(2)]
-        streams[0].hear(cues(measures, speaking))
-        with_it, without = (one.move(silent, calm).head[0, :, 1] for one in streams)
-        pitch += (with_it - without) / 16
+    silent, calm = np.zeros((16, 600), bool), np.zeros((16, 600, len(LABELS)), np.float32)
+    hearing, deaf = faces(16), faces(16)
+    hearing.hear(to_each(cues(*syllables(600, pause=(300, 330))), 16))
+    with_it, without = (each.move(silent, calm).head[..., 1] for each in (hearing, deaf))
+    pitch = (with_it - without).mean(axis=0)
     assert not pitch[:300].any()
     assert pitch[306:330].min() < -0.8, "lowest 0.2 to 0.7 s after the end is known"
 

@@ -65,12 +65,6 @@ def test_share_of_the_expression_is_that_of_a_whole_recording(rest, piece):
     assert np.abs(np.diff(share)).max() <= MOST_STEP + 1e-6
 
 
-def test_gates_are_the_same_for_any_pieces():
-    speaking = spoken((20, 60), (70, 90), (140, 180))
-    one, other = gates_of(speaking), gates_of(speaking, piece=3)
-    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(one, other, strict=True))
-
-
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
     running = RunningActivity(Gates(), 5)

@@ -6,7 +6,6 @@ import torch
 from deitalk.models.intensity import (
     DynamicIntensity,
     MotionEncoder,
-    emotional_saliency,
     local_maximum,
 )
 
@@ -32,18 +31,6 @@ def test_equations_4_to_6_by_hand():
     torch.testing.assert_close(output.saliency, torch.tensor([[0.8, 0.6, -1.0]]))
     expected = torch.tensor([[[3.2, 0.0], [0.0, 1.8], [4.0, 3.0]]])
     torch.testing.assert_close(output.guidance, expected)
-
-
-def test_the_frame_that_is_the_maximum_has_saliency_one():
-    output = identity()(torch.tensor([[[1.0, 0.0], [2.0, 5.0], [0.0, 1.0]]]))
-    assert output.saliency[0, 1].item() == pytest.approx(1)
-
-
-def test_saliency_does_not_depend_on_scale():
-    features, embedding = torch.randn(2, 9, 4), torch.randn(2, 4)
-    torch.testing.assert_close(
-        emotional_saliency(7 * features, 3 * embedding), emotional_saliency(features, embedding)
-    )
 
 
 def test_local_maximum_equals_a_loop():

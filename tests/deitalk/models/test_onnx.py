@@ -115,7 +115,7 @@ def with_random_parts(network):
     return network
 
 
-SHORTER = pytest.param("short look-ahead", marks=pytest.mark.thorough)
+SHORTER = pytest.param("short look-ahead", marks=pytest.mark.slow)
 
 
 @pytest.fixture(scope="module", params=["plain", "tuned", SHORTER])
@@ -176,7 +176,7 @@ def exported_whisper(whisper_pair):
     return whisper_pair[1]
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+@pytest.mark.parametrize("n_frames", [1, 31, 299, 300, 301, 571])
 def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
     """One piece, two and three; the last one is short, or begins a frame before the end."""
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
@@ -237,7 +237,7 @@ def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
         assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
 
 
-@pytest.mark.parametrize("pieces", [(1,) * 12, (60, 48, 22), (3,) * 40, (9, 120, 3)])
+@pytest.mark.parametrize("pieces", [(1,) * 12, (60, 48, 22), (9, 120, 3)])
 def test_any_number_of_frames_per_call_gives_those_of_torch(causal, exported_causal, pieces, rng):
     """Frames of three of five streams, and the state of all after them."""
     grid, batch, total = exported_causal.grid, 3, sum(pieces)
@@ -286,12 +286,19 @@ def test_models_for_whole_clips_are_refused_live(exported_whisper):
 
 
 @pytest.fixture
-def plain_folder(tmp_path, monkeypatch):
+def plain_folder(tiny, tmp_path, monkeypatch):
     """A model folder without a graph, and an empty cache."""
     monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "cache"))
-    network = of_frontend(WHISPER)
-    save_model(tmp_path / "tiny", network, Config(model=network.config, rules=network.rules), {})
-    return tmp_path / "tiny"
+    ignored = shutil.ignore_patterns(GRAPH)
+    return Path(shutil.copytree(tiny, tmp_path / "plain", ignore=ignored))
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A model folder with its graph."""
+    folder = tmp_path_factory.mktemp("models") / "tiny"
+    in_folder(of_frontend(WHISPER), folder)
+    return folder
 
 
 def test_a_folder_without_a_graph_gets_one_in_the_cache(plain_folder, tmp_path):
@@ -311,31 +318,29 @@ def test_a_folder_without_a_graph_gets_one_in_the_cache(plain_folder, tmp_path):
     assert chosen_backend(plain_folder) == "onnx"
 
 
-def test_a_graph_of_other_settings_is_not_used(plain_folder):
-    network = require_model(plain_folder, DEITalk)
-    write_graph(network, plain_folder, plain_folder / GRAPH)
-    assert chosen_backend(plain_folder) == "onnx"
-    assert chosen_backend(plain_folder, device="cuda") == "torch"
-    assert chosen_backend(network) == "torch"
-    config = plain_folder / "config.yaml"
+def test_a_graph_of_other_settings_is_not_used(tiny, tmp_path):
+    folder = Path(shutil.copytree(tiny, tmp_path / "tiny"))
+    assert chosen_backend(folder) == "onnx"
+    assert chosen_backend(folder, device="cuda") == "torch"
+    assert chosen_backend(require_model(folder, DEITalk)) == "torch"
+    config = folder / "config.yaml"
     config.write_text(config.read_text().replace("peak: 0.25", "peak: 0.3"))
-    assert chosen_backend(plain_folder) == "torch"
+    assert chosen_backend(folder) == "torch"
 
 
-def test_a_network_is_kept_until_its_folder_changes(plain_folder):
+def test_a_network_is_kept_until_its_folder_changes(tiny, tmp_path):
     sound, rows = speechlike(1.0), weights(30, happy=1.0)
-    network = require_model(plain_folder, DEITalk)
-    write_graph(network, plain_folder, plain_folder / GRAPH)
-    kept = load_onnx(plain_folder)
+    folder = Path(shutil.copytree(tiny, tmp_path / "tiny"))
+    network, kept = require_model(folder, DEITalk), load_onnx(folder)
     before = kept.read(sound, rows).emotional
-    assert load_onnx(plain_folder) is kept and kept.curve_pass() is kept.curve_pass()
+    assert load_onnx(folder) is kept and kept.curve_pass() is kept.curve_pass()
     with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: load_onnx(plain_folder).read(sound, rows), range(8)):
+        for found in pool.map(lambda _: load_onnx(folder).read(sound, rows), range(8)):
             np.testing.assert_array_equal(found.emotional, before)
     with torch.no_grad():
         network.decoder.output.bias += 0.25
-    save_model(plain_folder, network, Config(model=network.config, rules=network.rules), {})
-    after = load_onnx(plain_folder).read(sound, rows).emotional
+    save_model(folder, network, Config(model=network.config, rules=network.rules), {})
+    after = load_onnx(folder).read(sound, rows).emotional
     np.testing.assert_allclose(after, before + 0.25, atol=1e-3)  # weights have 16 bits
 
 
@@ -482,19 +487,15 @@ print("LOADED", sorted(slow & set(sys.modules)))
 """
 
 
-def run_without_torch(*arguments):
-    """Run a command; none of the slow packages may be loaded at its end."""
-    code = COMMAND.format(argv=["deitalk", *arguments])
+def test_live_imports_no_torch():
+    """Nor another of the slow packages."""
+    sample = str(Path(__file__).parents[3] / "docs/samples/promise.flac")
+    code = COMMAND.format(argv=["deitalk", "live", sample, "--seconds", "0.5", "--port", "9"])
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "LOADED []"
-
-
-def test_live_imports_no_torch():
-    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
-    run_without_torch("live", str(sample), "--seconds", "0.5", "--port", "9")
 
 
 def test_packages_of_the_small_installation_are_enough(tmp_path):
@@ -522,18 +523,12 @@ def test_packages_of_the_small_installation_are_enough(tmp_path):
     assert len(read_curves(tmp_path / "take/curves.csv")) == 262
 
 
-def moved_by_lips(network, monkeypatch):
-    """How far the readout of the lips moves the curves, which the graphs equal with it."""
+@pytest.mark.parametrize("causal_pair", ["plain"], indirect=True)
+@pytest.mark.parametrize("name", ["whisper", "causal"])
+def test_the_readout_of_the_lips_matters(causal_pair, name, request, monkeypatch):
+    """It moves the curves, which the graphs equal with it."""
+    network = request.getfixturevalue(name)
     sound, rows = speechlike(71 / 30), weights(71, happy=0.6)
     before = network.read(sound, rows).neutral
     monkeypatch.setattr(network, "lips", None)
-    return np.abs(network.read(sound, rows).neutral - before).max()
-
-
-def test_the_readout_of_the_lips_matters(whisper, monkeypatch):
-    assert moved_by_lips(whisper, monkeypatch) > 0.01
-
-
-@pytest.mark.parametrize("causal_pair", ["plain"], indirect=True)
-def test_the_readout_of_the_lips_matters_live(causal, monkeypatch):
-    assert moved_by_lips(causal, monkeypatch) > 0.01
+    assert np.abs(network.read(sound, rows).neutral - before).max() > 0.01

@@ -12,11 +12,14 @@ from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
-from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
+<<<<<<< HEAD
 from deitalk.models.folder import embedded_models
 from deitalk.postprocess.edges import LONGEST_QUIET, Edge, edge_of
 from deitalk.postprocess.joins import HEAD_FRAMES, lead
+=======
+from deitalk.postprocess.joins import HEAD_FRAMES, LONGEST_QUIET, Edge, edge_of, lead
+>>>>>>> w-t1
 from rig import RigCurves, default_controls
 from rig.errors import UserError
 from tests.deitalk.pipeline.test_curves import SMALL, recording
@@ -37,13 +40,6 @@ def network():
 @pytest.fixture(scope="module")
 def first(network):
     return animate(recording(1.5), "happy", model=network)
-
-
-@pytest.fixture(scope="module")
-def default():
-    if "default" not in embedded_models():
-        pytest.skip("the default weights are not in this checkout")
-    return load_model("default")
 
 
 def steps(rows):

@@ -12,7 +12,6 @@ from deitalk.cli import app
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.models.checkpoint import load_model, save_model
-from deitalk.models.folder import embedded_models
 from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 from deitalk.postprocess.lip_seal import known_skins
@@ -43,10 +42,8 @@ WIDEN_SECONDS = 2 / 30
 
 
 @pytest.fixture(scope="module")
-def network():
-    if "default" not in embedded_models():
-        pytest.skip("the default weights are not in this checkout")
-    return load_model()
+def network(default):
+    return default
 
 
 @pytest.fixture(scope="module")

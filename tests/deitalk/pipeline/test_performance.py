@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import soundfile
 
-from deitalk import Recording, animate, animate_mesh
+from deitalk import animate, animate_mesh
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import AudioError, CheckpointError, ConfigError, DeitalkError, EmotionError
 from rig import read_curves
 from rig.errors import ExistsError, TargetError
-from rig.files import is_folder_name
 from tests.deitalk.pipeline.test_curves import network, recording
 from tests.errors import one_line
 
@@ -56,22 +55,6 @@ def test_save_names_the_model_it_was_given(tmp_path, happy):
     assert about["model"]["name"] == "live" and len(about["model"]["sha256"]) == 64
 
 
-@pytest.mark.parametrize(
-    ("name", "is_folder"),
-    [
-        ("a", True),
-        ("a.csv", False),
-        ("a.csv/", True),
-        ("a.12", True),
-        ("a.b c", True),
-        ("..", True),
-    ],
-)
-def test_is_folder_name_by_the_rule(tmp_path, monkeypatch, name, is_folder):
-    monkeypatch.chdir(tmp_path)
-    assert is_folder_name(name, (".csv",)) is is_folder
-
-
 def test_mean_intensities_are_of_predicted_and_applied(network):
     sound = recording(1.5)
     plain = animate(sound, "happy", model=network)
@@ -107,27 +90,6 @@ def still(value):
     return IntensityCurve(np.zeros(1), np.full(1, value))
 
 
-def test_performances_print_as_one_short_line(happy, network):
-    assert repr(happy) == (
-        "<Performance of 'test': 45 frames at 30 fps, 1.50 s, 185 controls, emotion happy, "
-        f"applied intensity {happy.mean_applied_intensity:.2f}>"
-    )
-    assert repr(happy.curves) == (
-        "<RigCurves: 45 frames at 30 fps, 1.50 s, 185 controls of metahuman-185@mh4, "
-        "with emotion, intensity and head>"
-    )
-    assert repr(happy.neutral).endswith("metahuman-185@mh4>")
-    sound = Recording(np.zeros(8000, np.float32), "a.wav", 44_100, 2, warnings=("quiet",))
-    assert (
-        repr(sound) == "<Recording 'a.wav': 0.50 s at 16000 Hz (from 44100 Hz, 2 channels), 1 note>"
-    )
-    mesh = animate_mesh(sound, model=network)
-    assert repr(mesh) == (
-        f"<MeshPerformance of 'a.wav': 15 frames at 30 fps, 0.50 s, {len(mesh.mesh.vertices)} "
-        "vertices>"
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)]
 )
@@ -149,6 +111,9 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         ({"emotion": b"happy"}, EmotionError, "is a bytes"),
         ({"emotion": {1: 0.5}}, EmotionError, "unknown emotion 1"),
         ({"emotion": {"happy": None}}, EmotionError, "happy is None"),
+        ({"emotion": "furious"}, EmotionError, "angry"),
+        ({"emotion": "happy=0.9,sad=0.4"}, EmotionError, "1"),
+        ({"intensity": -1}, ConfigError, "0"),
         ({"intensity": "loud"}, ConfigError, "intensity 'loud' must be a number"),
         ({"intensity": [1]}, ConfigError, "must be a number"),
         ({"intensity": True}, ConfigError, "must be a number"),

@@ -5,21 +5,23 @@ import json
 import numpy as np
 import pytest
 import soundfile
-import torch
 
 from deitalk import animate
 from deitalk.batch.run import animate_batch
+<<<<<<< HEAD
 from deitalk.config.curves import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.edges import edge_of
+=======
+from deitalk.postprocess.joins import edge_of
+>>>>>>> w-t1
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.curves.shift import shift, start_with_handles
 from rig.errors import CurveError
 from tests.command import ran, refused
 from tests.deitalk.batch.conftest import InProcess
-from tests.deitalk.pipeline.test_curves import SMALL
 from tests.errors import one_line
 
 RATE = 16_000
@@ -30,8 +32,6 @@ CASES = [(0, 8, 24.0), (3, 0, 30.0), (-2, 0, 24.0), (1, 8, 23.976), (4, 2, 60.0)
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shift")
-    torch.manual_seed(0)
-    save_model(folder / "small", DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
     soundfile.write(folder / "line.wav", speechlike(1.2), 48_000 // 3, subtype="PCM_16")
     (folder / "lines").mkdir()
     soundfile.write(folder / "lines" / "line.wav", speechlike(1.2), RATE, subtype="PCM_16")
@@ -39,8 +39,8 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def performance(place):
-    return animate(place / "line.wav", "happy", model=place / "small")
+def performance(place, model):
+    return animate(place / "line.wav", "happy", model=model)
 
 
 def wanted(performance, delay, handles, fps):
@@ -52,16 +52,15 @@ def wanted(performance, delay, handles, fps):
 
 @pytest.mark.parametrize(("delay", "handles", "fps"), CASES)
 def test_python_command_batch_and_convert_write_the_same(
-    place, performance, delay, handles, fps, tmp_path, monkeypatch
+    place, model, performance, delay, handles, fps, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
     form = {"fps": fps, "delay": delay, "handles": handles}
     options = [f"--{name}={value}" for name, value in form.items()]
     found = [performance.save(tmp_path / "python.csv", **form)]
     found.append(tmp_path / "command.csv")
-    model = ("--model", str(place / "small"), "-e", "happy")
-    ran("animate", place / "line.wav", "-o", found[-1], *model, *options)
-    animate_batch(place / "lines", tmp_path / "out", "happy", model=place / "small", **form)
+    ran("animate", place / "line.wav", "-o", found[-1], "--model", model, "-e", "happy", *options)
+    animate_batch(place / "lines", tmp_path / "out", "happy", model=model, **form)
     found.append(tmp_path / "out" / "line.csv")
     take = performance.save(tmp_path / "take")
     found.append(tmp_path / "converted.csv")

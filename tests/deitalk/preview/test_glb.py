@@ -90,20 +90,6 @@ def test_animation_follows_the_pages_clock(page, folder):
     assert page.complaints == []
 
 
-def test_animation_plays_with_the_shown_frame(page, folder):
-    open_glb(page, folder / "moving.glb")
-    seek(page, 0)
-    page.click("#play")
-    page.wait_for_function("deitalk.page.state().shown > 0.2")
-    state = page.evaluate(
-        "(() => { const s = deitalk.page.state(); return [s.shown, ...s.model.vertices]; })()"
-    )
-    page.click("#play")
-    weight = [np.interp(state[0], np.arange(4) / FPS, WEIGHTS[:, k]) for k in (0, 1)]
-    expected = CORNERS + weight[0] * OPEN + weight[1] * SMILE
-    assert np.abs(np.array(state[1:]).reshape(-1, 3) - expected).max() < 1e-5
-
-
 def test_without_animation_every_shape_has_a_slider(page, folder):
     open_glb(page, folder / "still.glb")
     assert page.locator(".sliders span").all_inner_texts() == ["jaw_drop", "mouthSmile_L"]

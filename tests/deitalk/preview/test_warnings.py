@@ -92,12 +92,9 @@ def take(tmp_path):
 
 
 def test_phones_of_a_take_are_read(take):
+    """Unless others are given."""
     (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
     assert load_source(take).phones == ((0.2, 0.3, "M"),)
-
-
-def test_given_phones_replace_those_of_the_take(take, tmp_path):
-    (take / "phones.csv").write_text("start,end,phone\n0.2,0.3,M\n")
     (take / "mine.csv").write_text("start,end,phone\n1.5,1.6,P\n")
     assert load_source(take, phones=take / "mine.csv").phones == ((1.5, 1.6, "P"),)
 

@@ -1,5 +1,6 @@
 """A base model of random weights and captures of seconds, for tests of tuning."""
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -91,6 +92,14 @@ def data(tmp_path_factory) -> Path:
     table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="", speaker="anna")
     table.loc[:1, "known"] = "known.txt"
     table.to_csv(folder / "clips.csv", index=False)
+    return folder
+
+
+def relabelled(data: Path, folder: Path, **columns: Any) -> Path:
+    """A copy of a dataset with other cells in these columns."""
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    table.assign(**columns).to_csv(folder / "clips.csv", index=False)
     return folder
 
 

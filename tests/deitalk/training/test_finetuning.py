@@ -31,7 +31,7 @@ from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.command import ran
 from tests.dataset import FPS, JAW, jaw, write_dataset
-from tests.deitalk.training.conftest import CONTROLS, recipe
+from tests.deitalk.training.conftest import CONTROLS, recipe, relabelled
 from tests.errors import one_line
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -104,9 +104,7 @@ def test_mesh_models_are_no_base():
 def jaw_alone(base, data, tmp_path_factory) -> tuple[Path, Path]:
     """Captures of which no clip knows more than the jaw, and a run on them."""
     place = tmp_path_factory.mktemp("jaw")
-    shutil.copytree(data, place / "data")
-    table = pd.read_csv(place / "data/clips.csv", dtype=str).assign(known="known.txt")
-    table.to_csv(place / "data/clips.csv", index=False)
+    relabelled(data, place / "data", known="known.txt")
     finetune(recipe(base, *TUNED), place / "data", place / "run")
     return place / "data", place / "run/last"
 
@@ -203,15 +201,12 @@ def test_run_ends_when_nothing_improves(base, data, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def foreign(data, tmp_path_factory) -> Path:
     """The same recordings with curves of a rig of three controls."""
-    folder = tmp_path_factory.mktemp("foreign") / "data"
-    shutil.copytree(data, folder)
+    folder = relabelled(data, tmp_path_factory.mktemp("foreign") / "data", known="")
     (folder / "rig.yaml").write_text(RIG)
     for path in (folder / "curves").iterdir():
         values = np.stack([jaw() * 1.5, -0.5 * jaw(), 0.25 + 0 * jaw()], axis=1)
         names = ("mouth_open", "smile_l", "smile_r")
         write_curves(path, RigCurves(values, names, fps=FPS, control_set="three@1"))
-    table = pd.read_csv(folder / "clips.csv", dtype=str).drop(columns="known")
-    table.to_csv(folder / "clips.csv", index=False)
     return folder
 
 
@@ -242,14 +237,11 @@ def test_actors_keep_their_last_layers_where_a_tuned_model_is_tuned(
     base, foreign, tmp_path, monkeypatch
 ):
     """b begins as the first tuning left it, c is new."""
-    folder = tmp_path / "data"
-    shutil.copytree(foreign, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str)
-    rig = f"model.control_set={folder / 'rig.yaml'}"
-    table.assign(speaker=["a", "b"] * 3).to_csv(folder / "clips.csv", index=False)
-    finetune(recipe(base, rig), folder, tmp_path / "one")
-    table.assign(speaker=["b", "c"] * 3).to_csv(folder / "clips.csv", index=False)
-    task = FinetuneTask(recipe(str(tmp_path / "one/last")), folder)
+    rig = f"model.control_set={foreign / 'rig.yaml'}"
+    first = relabelled(foreign, tmp_path / "first", speaker=["a", "b"] * 3)
+    finetune(recipe(base, rig), first, tmp_path / "one")
+    second = relabelled(foreign, tmp_path / "second", speaker=["b", "c"] * 3)
+    task = FinetuneTask(recipe(str(tmp_path / "one/last")), second)
     monkeypatch.setattr(FinetuneTask, "_fit_last_layers", lambda self: None)
     task.build(torch.device("cpu"))
     assert task.model.actors == ("a", "b", "c")
@@ -315,10 +307,7 @@ def test_actors_of_one_model_move_in_their_own_style(base, data, tmp_path):
 
 def test_new_actors_begin_with_the_style_of_the_base(base, data, tmp_path, monkeypatch):
     monkeypatch.setattr(FinetuneTask, "_fit_last_layers", lambda self: None)
-    folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str)
-    table.assign(speaker=["a", "b"] * 3).to_csv(folder / "clips.csv", index=False)
+    folder = relabelled(data, tmp_path / "data", speaker=["a", "b"] * 3)
     task = FinetuneTask(recipe(base), folder)
     task.build(torch.device("cpu"))
     example = load_example(read_clips(folder, "validation")[0], CONTROLS)
@@ -356,11 +345,7 @@ def test_report_compares_before_after_and_baselines(tuned):
 def compared(base, data, tmp_path_factory):
     """Held-out clip, run and messages of the command; the clip moves exactly as the base does."""
     place = tmp_path_factory.mktemp("compared")
-    folder = place / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    table.loc[5, "split"] = "test"
-    table.to_csv(folder / "clips.csv", index=False)
+    folder = relabelled(data, place / "data", split=["train"] * 4 + ["validation", "test"])
     clip = read_clips(folder, "test")[0]
     values, _ = predict(load_model(base), load_example(clip, CONTROLS))
     values = np.clip(values, CONTROLS.minimum, CONTROLS.maximum)
@@ -454,11 +439,7 @@ def test_dead_channels_stay_as_the_base_has_them(base, tmp_path):
 
 def test_contacts_keep_the_rules_of_the_base(base, data, tmp_path):
     """Numbers of the recipe stay; `auto` has none where captures know the contacts."""
-    folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    (folder / "known.txt").write_text("CTRL_C_jaw.ty\n")
-    table = pd.read_csv(folder / "clips.csv", dtype=str)
-    table.assign(known="known.txt").to_csv(folder / "clips.csv", index=False)
+    folder = relabelled(data, tmp_path / "data", known="known.txt")
     rules = load_model(base).rules
     tuned = FinetuneTask(recipe(base, "rules.limit_contact_speed.step=0.7"), folder).config.rules
     assert tuned.sharpen_contacts == rules.sharpen_contacts is not None

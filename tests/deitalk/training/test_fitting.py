@@ -16,17 +16,14 @@ from deitalk.training.tuning.fitting import fit_model
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, write_curves
 from tests.command import deitalk, ran
-from tests.deitalk.training.conftest import CONTROLS, recipe
+from tests.deitalk.training.conftest import CONTROLS, recipe, relabelled
 
 
 @pytest.fixture(scope="module")
 def two_actors(base, data, tmp_path_factory):
     """A model of anna and ben, who opens the mouth further, and its dataset."""
     place = tmp_path_factory.mktemp("two")
-    shutil.copytree(data, place / "data")
-    table = pd.read_csv(place / "data/clips.csv", dtype=str, keep_default_na=False)
-    table = table.assign(emotion="neutral", known="", speaker=["anna", "ben"] * 3)
-    table.to_csv(place / "data/clips.csv", index=False)
+    relabelled(data, place / "data", emotion="neutral", known="", speaker=["anna", "ben"] * 3)
     for clip in read_clips(place / "data"):
         example = load_example(clip, CONTROLS)
         share = 0.4 if clip.speaker == "anna" else 0.9

@@ -1,10 +1,8 @@
 """Contacts of the lips of a tuned model: those of its base, unless captures tell them better."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -20,7 +18,7 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import JAW, jaw
-from tests.deitalk.training.conftest import TINY, recipe
+from tests.deitalk.training.conftest import TINY, recipe, relabelled
 
 CONTROLS = default_controls()
 CONTACTS = [n for n in CONTROLS.names if "lipsTogether" in n or "lipBiteD" in n]
@@ -55,11 +53,8 @@ def reader(tmp_path_factory) -> str:
 
 def captures(data: Path, folder: Path, known: list[str]) -> Path:
     """The dataset in a neutral voice, of which some controls are known."""
-    shutil.copytree(data, folder)
+    relabelled(data, folder, emotion="neutral", voice="neutral", known="known.txt")
     (folder / "known.txt").write_text("\n".join(known) + "\n")
-    table = pd.read_csv(folder / "clips.csv", dtype=str)
-    table = table.assign(emotion="neutral", voice="neutral", known="known.txt")
-    table.to_csv(folder / "clips.csv", index=False)
     return folder
 
 

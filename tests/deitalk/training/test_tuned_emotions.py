@@ -1,10 +1,8 @@
 """Emotions of a tuned model: those that captures lack are the base's change, whatever is captured."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -21,7 +19,7 @@ from deitalk.training.tuning.regression import _jaw_share
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw
-from tests.deitalk.training.conftest import recipe
+from tests.deitalk.training.conftest import recipe, relabelled
 
 CONTROLS = default_controls()
 SPEECH = np.pad(speechlike(1.5), (4000, 4000))
@@ -35,10 +33,7 @@ def settings(base: str, *more: str) -> FinetuneConfig:
 
 def labelled(data: Path, folder: Path, emotions: str | list[str], rig: str | None = None) -> Path:
     """The dataset with these emotions, of another rig where one is given: its hinge is the jaw."""
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    table = table.assign(emotion=emotions, voice=emotions, known="")
-    table.to_csv(folder / "clips.csv", index=False)
+    relabelled(data, folder, emotion=emotions, voice=emotions, known="")
     if rig is not None:
         controls = read_controls(rig)
         for path in (folder / "curves").iterdir():
@@ -168,8 +163,7 @@ def test_of_an_unknown_rig_an_emotion_passes_as_neutral_with_a_note(base, data, 
         assert sum("passes as neutral" in note for note in notes) == count, emotion
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS[1:])
-def test_a_map_carries_emotions_to_a_rig(base, data, tmp_path, emotion):
+def test_a_map_carries_emotions_to_a_rig(base, data, tmp_path):
     (tmp_path / "rig.yaml").write_text(RIG)
     (tmp_path / "map.csv").write_text(
         "target,source,weight\nCTRL_C_jaw.ty,hinge,1\n"
@@ -179,14 +173,15 @@ def test_a_map_carries_emotions_to_a_rig(base, data, tmp_path, emotion):
     folder = labelled(data, tmp_path / "data", "neutral", rig)
     given = (f"model.control_set={rig}", f"tune.map={table}")
     finetune(settings(base, *given), folder, tmp_path / "run")
-    found, of_base = change(tmp_path / "run/best", emotion), change(base, emotion)
-    jaw_moves = of_base[:, CONTROLS.index("CTRL_C_jaw.ty")]
-    assert np.corrcoef(found[:, 0], jaw_moves)[0, 1] > 0.999
-    np.testing.assert_allclose(found[:, 0], jaw_moves, atol=0.06 * np.abs(jaw_moves).max())
-    assert not found[:, 2].any(), "nothing is told of the hat"
+    for emotion in EMOTIONS[1:]:
+        found, of_base = change(tmp_path / "run/best", emotion), change(base, emotion)
+        jaw_moves = of_base[:, CONTROLS.index("CTRL_C_jaw.ty")]
+        assert np.corrcoef(found[:, 0], jaw_moves)[0, 1] > 0.999
+        np.testing.assert_allclose(found[:, 0], jaw_moves, atol=0.06 * np.abs(jaw_moves).max())
+        assert not found[:, 2].any(), "nothing is told of the hat"
 
 
-@pytest.mark.parametrize("part", ["head", "decoder", "all"])
+@pytest.mark.parametrize("part", ["head", "all"])
 def test_every_part_is_tuned_on_another_rig(base, data, tmp_path, part):
     """Also where the frontend learns, and no features are kept."""
     (tmp_path / "rig.yaml").write_text(RIG)

@@ -19,7 +19,7 @@ from rig import RigCurves, read_curves, write_curves
 from tests.command import deitalk as command
 from tests.command import ran
 from tests.dataset import FPS, JAW, jaw
-from tests.deitalk.training.conftest import CONTROLS
+from tests.deitalk.training.conftest import CONTROLS, recipe, relabelled
 from tests.takes import write_live_link
 
 SMALL = {
@@ -45,13 +45,10 @@ class Pulled(FinetuneTask):
 @pytest.fixture(scope="module")
 def takes(data, tmp_path_factory):
     """The clips as takes of one actor, neutral; the jaw is shut in every second take's bursts."""
-    folder = tmp_path_factory.mktemp("takes") / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    table = table.assign(emotion="neutral", voice="neutral", known="", split="train")
-    table = table.assign(take=[f"t{i}" for i in range(len(table))], start_s="0", stop_s="6")
-    table.to_csv(folder / "clips.csv", index=False)
-    return folder
+    return relabelled(
+        data, tmp_path_factory.mktemp("takes") / "data", emotion="neutral", voice="neutral",
+        known="", split="train", take=[f"t{i}" for i in range(6)], start_s="0", stop_s="6",
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -231,8 +228,6 @@ def test_a_model_that_loudness_beats_is_told_and_strict_fails(base, takes, tmp_p
 
 @torch.no_grad()
 def test_held_predictions_leave_the_model_as_it_is(base, takes):
-    from tests.deitalk.training.conftest import recipe
-
     task = FinetuneTask(recipe(base, "train.steps=0"), takes)
     task.build(torch.device("cpu"))
     before = {name: value.clone() for name, value in task.model.state_dict().items()}

@@ -1,7 +1,6 @@
 """`import_captures`: whole takes to a dataset folder; every fault is one line."""
 
 import csv
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -123,19 +122,6 @@ def test_foreign_rig_is_imported_by_a_map(tmp_path):
     assert "1 columns are in no row of the map: 'x'" in result.takes[0].notes[0]
 
 
-def test_shapes_of_audio2face_json_are_read(tmp_path):
-    (tmp_path / "t").mkdir()
-    names = [n[0].lower() + n[1:] for n in read_take(write_live_link(tmp_path / "x.csv", 1)).names]
-    rows = np.zeros((360, 52))
-    rows[:, names.index("jawOpen")] = 0.5
-    data = {"exportFps": 60, "facsNames": names[:52], "weightMat": rows.tolist()}
-    (tmp_path / "t" / "a_bsweight.json").write_text(json.dumps(data))
-    soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
-    result = import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
-    assert (result.takes[0].kind, result.takes[0].fps) == ("arkit", 60)
-    assert read_known(read_clips(tmp_path / "data")[0].known, CONTROLS).sum() == 73
-
-
 def test_import_is_repeatable_with_force_and_refused_without(tmp_path):
     write_live_link(tmp_path / "t" / "a.csv", 6)
     import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
@@ -255,12 +241,6 @@ def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def test_a_short_take_is_all_for_training(tmp_path):
-    write_live_link(tmp_path / "t" / "a.csv", 4)
-    imported.import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
-    assert {row["split"] for row in rows_of(tmp_path / "data")} == {"train"}
-
-
 def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
     for number in range(4):
         write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8 + number / 10)
@@ -334,14 +314,6 @@ def test_speech_beyond_the_curves_does_not_count(tmp_path):
     write_take(path, replace(whole, ticks=whole.ticks[:180], values=whole.values[:180]))
     (take,) = import_captures([path], tmp_path / "data", **ANNA).takes
     assert 0 < take.speech_seconds <= 6
-
-
-def test_percentages_are_told(tmp_path):
-    path = write_live_link(tmp_path / "t" / "a.csv", 6)
-    take = read_take(path)
-    write_take(path, replace(take, values=100 * take.values))
-    result = import_captures([path], tmp_path / "data", **ANNA)
-    assert "values are percent: divided by 100" in result.takes[0].notes
 
 
 def test_actors_of_whom_nothing_is_learnt_are_told(tmp_path):

@@ -14,7 +14,6 @@ from deitalk.data.captures.mend import rename_emotions
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips, read_known
 from deitalk.models.checkpoint import load_model
-from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.deitalk.cli.test_cli import ROOT
@@ -24,9 +23,6 @@ CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 LATE = 6 / 30
 OPEN = 0.08
-pytestmark = pytest.mark.skipif(
-    "default" not in embedded_models(), reason="needs the embedded weights"
-)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +33,7 @@ def takes(tmp_path_factory) -> Path:
     for name, late in (("amiable", 0.0), ("promise", LATE)):
         speech = load_audio(ROOT / f"docs/samples/{name}.flac").waveform
         quiet = 1e-4 * np.random.default_rng(0).standard_normal(40_000).astype(np.float32)
-        wave = np.concatenate([quiet, speech, quiet, speech, quiet])
+        wave = np.concatenate([quiet, speech, quiet])
         write_wav(folder / f"{name}.wav", wave)
         curves = animate(folder / f"{name}.wav", "neutral", model=model, life="off").curves
         values = curves.values.copy()

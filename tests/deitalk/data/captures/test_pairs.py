@@ -1,5 +1,7 @@
 """Sound and curves of a take, laid together by their time codes."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 
@@ -30,8 +32,7 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize("fps", [60, 24, 30000 / 1001])
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize(("name", "fps"), zip(PAIRS, cycle((60, 24, 30000 / 1001))))
 def test_time_codes_lay_sound_and_curves_together(tmp_path, name, fps):
     sound_start, start, sound_seconds, seconds, late, note = PAIRS[name]
     count = 60

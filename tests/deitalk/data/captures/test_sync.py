@@ -1,6 +1,7 @@
 """Offset and drift of takes: planted ones are found, by hand-made and by predicted curves."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,13 +21,23 @@ from deitalk.data.offset import (
     take_sync,
 )
 from deitalk.models.checkpoint import load_model
-from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
 from rig import RigCurves
 from tests.deitalk.cli.test_cli import ROOT
 
 FRAME = 1 / 30
 SHIFTS = (-15, -8, -3, -1, 1, 4, 10, 15)
+
+
+@cache
+def recording(name="amiable"):
+    return load_audio(ROOT / f"docs/samples/{name}.flac")
+
+
+@cache
+def curves_of(model, emotion="neutral", name="amiable"):
+    """Curves of a sample; those of another model and emotion, with noise, stand for captures."""
+    return animate(recording(name), emotion, model=load_model(model)).curves
 
 
 def bump(at: float, seconds: float = 10.0, centre: float = 5.0, height: float = 1.0) -> ClipLags:
@@ -57,73 +68,56 @@ def test_drift_of_ntsc_rates_is_found_exactly(drift):
         assert take.lag_at(clip.centre) == pytest.approx(0.1 + drift * clip.centre, abs=2e-3)
 
 
-@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_planted_offsets_are_found_to_a_third_of_a_frame():
-    """Curves of another model and emotion, with noise, stand for captures."""
-    reference, other = load_model("default"), load_model("live")
     rng = np.random.default_rng(0)
     found = []
     for name in ("amiable", "promise"):
-        recording = load_audio(ROOT / f"docs/samples/{name}.flac")
-        predicted = animate(recording, "neutral", model=reference).curves
-        face = animate(recording, "happy", model=other).curves
+        sound = recording(name).waveform
+        predicted, face = curves_of("default", name=name), curves_of("live", "happy", name)
         noisy = face.values + 0.03 * rng.standard_normal(face.values.shape)
         captured = RigCurves(noisy.astype(np.float32), face.names, fps=face.fps)
-        still = clip_lags(captured, recording.waveform, predicted=predicted)
+        still = clip_lags(captured, sound, predicted=predicted)
         assert still is not None
         take = take_sync([still])
         assert take is not None and not take.is_shifted, take
         for frames in SHIFTS:
-            moved = clip_lags(
-                captured, recording.waveform, predicted=predicted, offset=frames * FRAME
-            )
+            moved = clip_lags(captured, sound, predicted=predicted, offset=frames * FRAME)
             assert moved is not None
             found.append(abs(sharpest_peak(moved.scores) - frames * FRAME) < FRAME / 3)
     assert np.mean(found) >= 0.95, found
 
 
-@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_loudness_replaces_the_model():
-    recording = load_audio(ROOT / "docs/samples/amiable.flac")
-    face = animate(recording, "neutral", model=load_model("default")).curves
-    lags = clip_lags(face, recording.waveform, predicted=None, offset=0.2)
+    lags = clip_lags(curves_of("default"), recording().waveform, predicted=None, offset=0.2)
     assert lags is not None and lags.n_groups == 1
     assert sharpest_peak(lags.scores) == pytest.approx(0.2, abs=0.06)
 
 
-@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_offset_of_another_rig_is_found_by_its_components(rng):
     """Mixtures of another model's curves under other names stand for another rig."""
-    recording = load_audio(ROOT / "docs/samples/amiable.flac")
-    predicted = animate(recording, "neutral", model=load_model("default")).curves
-    face = animate(recording, "neutral", model=load_model("live")).curves
+    predicted, face, sound = curves_of("default"), curves_of("live"), recording().waveform
     mixed = face.values @ rng.normal(size=(len(face.names), 12)).astype(np.float32)
     names = tuple(f"puppet_{i}" for i in range(12))
     puppet = RigCurves(mixed, names, fps=face.fps, control_set="puppet@1")
-    still = clip_lags(puppet, recording.waveform, predicted=predicted)
+    still = clip_lags(puppet, sound, predicted=predicted)
     assert still is not None and abs(sharpest_peak(still.scores)) < FRAME
     for frames in SHIFTS:
-        moved = clip_lags(puppet, recording.waveform, predicted=predicted, offset=frames * FRAME)
+        moved = clip_lags(puppet, sound, predicted=predicted, offset=frames * FRAME)
         assert moved is not None
         found = sharpest_peak(moved.scores) - sharpest_peak(still.scores)
         assert found == pytest.approx(frames * FRAME, abs=FRAME / 3)
 
 
-@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 @pytest.mark.parametrize(
     ("own", "read"),
     [(30, 30), (24, 30), (25, 30), (30, 25), (48, 60), (60, 30), (30, 60), (24, 25)],
 )
 def test_takes_at_another_rate_than_their_sound_are_found(own, read):
-    """Curves of another model and emotion, with noise, stand for captures."""
     rng = np.random.default_rng(0)
-    reference, other = load_model("default"), load_model("live")
-    recording = load_audio(ROOT / "docs/samples/amiable.flac")
-    predicted = animate(recording, "neutral", model=reference).curves
-    curves = animate(recording, "happy", model=other).curves.resample(own)
+    curves = curves_of("live", "happy").resample(own)
     noise = 0.02 * rng.standard_normal(curves.values.shape).astype(np.float32)
     misread = replace(curves, values=curves.values + noise, fps=read)
-    found = fit_rate(misread, recording.waveform, predicted=predicted)
+    found = fit_rate(misread, recording().waveform, predicted=curves_of("default"))
     assert found is None if own == read else found == pytest.approx(own)
 
 

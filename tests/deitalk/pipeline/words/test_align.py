@@ -8,7 +8,7 @@ import pytest
 from deitalk import animate
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.words.align import fit_words
-from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
+from deitalk.pipeline.words.evidence import RATE, PhoneEvidence
 from deitalk.pipeline.words.pronounced import Word
 from deitalk.pipeline.words.transcript import Transcript
 from deitalk.pipeline.words.viterbi import best_path
@@ -118,15 +118,6 @@ def test_given_times_choose_between_two_places():
         assert found.words[-1].start == pytest.approx(start) and found.is_bounded
     away = Word("ma", ("M", "AA"), 30.0, 31.0)
     assert not fit_words(sound, transcript(away), FLAT).is_bounded
-
-
-def test_embedded_map_fits_the_features_of_default():
-    from deitalk.models.checkpoint import load_model
-
-    width = load_model("default").frontend.output_size
-    weights = phone_evidence().weights
-    assert weights["weight"].shape == (len(PHONES), 3 * width)
-    assert weights["prior"].sum() == pytest.approx(1, abs=0.01) and (weights["prior"] > 0).all()
 
 
 def test_evidence_is_a_softmax_of_rows_and_those_beside(rng, monkeypatch):

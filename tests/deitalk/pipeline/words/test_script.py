@@ -10,8 +10,6 @@ from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.emotions import LABELS, parse_emotion
 from deitalk.errors import DataError, DeitalkError
-from deitalk.models.checkpoint import load_model
-from deitalk.models.folder import embedded_models
 from deitalk.pipeline.words.align import FittedWord
 from deitalk.pipeline.words.espeak import missing
 from deitalk.pipeline.words.marks import (
@@ -321,13 +319,6 @@ def test_accent_of_a_mark_is_the_accent_of_its_word(value, before, after):
 
 
 SENTENCE = "docs/samples/promise.flac"
-
-
-@pytest.fixture(scope="module")
-def default():
-    if "default" not in embedded_models():
-        pytest.skip("the default weights are not in this checkout")
-    return load_model("default")
 
 
 TAGGED = (

@@ -268,6 +268,12 @@ def test_posture_is_that_of_the_emotion(emotion, column, sign):
     middle = posture[200:600, column]
     assert (sign * middle > 0.5).all()
     assert np.abs(np.diff(posture, axis=0)).max() < 0.5
+    whole, half = (
+        plan_motion(VOICE, shown(emotion), Seeds((0, 0, 0)), life=Life(head=factor)).head
+        for factor in (1, 0.5)
+    )
+    assert sign * whole[200:600, column].mean() > 0.4
+    np.testing.assert_allclose(half, whole / 2, atol=1e-5)
 
 
 def test_eyes_turn_against_the_head():
