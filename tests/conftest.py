@@ -126,7 +126,7 @@ THOROUGH = (
     "tests/api/test_drain.py",
     "tests/api/test_jobs.py",
     "tests/api/test_live.py::test_documented_client_of_a_browser",
-    "tests/api/test_live.py::test_documented_client_sends_a_minute",
+    "tests/api/test_live.py::test_documented_client_sends_more",
     "tests/api/test_live.py::test_sessions_beyond_the_limit_and_other_sites_are_refused",
     "tests/api/test_lost_workers.py",
     "tests/api/test_malformed.py",

@@ -115,7 +115,7 @@ def test_slow_bodies_and_slow_headers_are_cut_off(server):
 
 def test_bodies_that_come_slowly_and_steadily_are_read(server):
     """1.3 MB in five seconds, where a body has three and one more for each 64 KiB."""
-    recording = wav(40.0)
+    recording = b"no audio" * 160_000
     with socket.create_connection(server.address, timeout=60) as connection:
         head = f"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(recording)}"
         connection.sendall(head.encode() + b"\r\nContent-Type: audio/wav\r\n\r\n")

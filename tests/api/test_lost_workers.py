@@ -167,7 +167,7 @@ def stopped(pids):
                 continue
 
 
-@pytest.mark.parametrize("kind", ["workers", "fork server", "both"])
+@pytest.mark.parametrize("kind", ["workers", "both"])
 def test_processes_that_are_killed_while_they_wait_are_there_again_without_load(server, kind):
     before = workers_of(server)
     if kind != "workers":

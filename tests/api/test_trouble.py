@@ -240,7 +240,7 @@ def test_job_routes_wait_for_a_database_that_is_away_and_animations_go_on(served
     server, line = served
     with server.client() as client, server.client() as other:
         job = wait(client, submit(client, wav(0.3)).json()["id"])["id"]
-        long = submit(client, wav(60.0), format="csv").json()["id"]
+        long = submit(client, wav(20.0), format="csv").json()["id"]
         seen = []
 
         def follow():

@@ -69,9 +69,9 @@ def test_memory_of_an_order_serves_the_next(worker, tmp_path):
         fields = Path(f"/proc/{worker.pid}/stat").read_text().rpartition(")")[2].split()
         return int(fields[7])
 
-    asked = order(tmp_path, wav(10.0))
+    asked = order(tmp_path, wav(6.0))
     counts = []
-    for _ in range(6):
+    for _ in range(4):
         worker.run(asked, 60)
         counts.append(faults())
     assert min(np.diff(counts)) < 400  # a busy machine takes some pages from a process
@@ -178,7 +178,7 @@ def test_order_that_ends_early_ends_its_process_and_the_next_has_another(
     worker.start()
     before = worker.pid
     with pytest.raises(error):
-        worker.run(order(tmp_path, wav(50.0)), seconds, stopped=lambda: stopped(worker))
+        worker.run(order(tmp_path, wav(20.0)), seconds, stopped=lambda: stopped(worker))
     assert worker.pid is None
     assert worker.run(order(tmp_path, wav(0.5)), 60)["facts"]["frames"] == 15
     assert worker.pid != before
