@@ -17,6 +17,19 @@ ROOT = Path(__file__).resolve().parents[2]
 START_SECONDS = 240.0
 
 
+def descendants(pid: int) -> list[int]:
+    """Processes below one, of all its threads."""
+    found, parents = [], [pid]
+    while parents:
+        parent = parents.pop()
+        with suppress(OSError):
+            for children in Path(f"/proc/{parent}/task").glob("*/children"):
+                listed = [int(child) for child in children.read_text().split()]
+                found += listed
+                parents += listed
+    return found
+
+
 @dataclass
 class Server:
     url: str
@@ -32,6 +45,16 @@ class Server:
         # without certificates, which take 25 ms to read and are not of HTTP
         plain = {"verify": False, "trust_env": False}
         return httpx.Client(base_url=self.url, timeout=120, **plain, **given)
+
+    @property
+    def processor_seconds(self) -> float:
+        """Of the server and its processes up to now."""
+        ticks = 0
+        for pid in (self.process.pid, *descendants(self.process.pid)):
+            with suppress(OSError):  # it has ended
+                fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+                ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
 
     def metric(self, name: str, headers: dict[str, str] | None = None) -> float:
         """Value of a metric without labels, whose prefix is left out."""

@@ -32,16 +32,14 @@ TRAVERSALS = (
 )
 
 
-def raw(server, request: bytes, seconds: float = 10.0) -> bytes:
-    """Everything that the server answers to bytes on a socket."""
-    with socket.create_connection(server.address, timeout=seconds) as connection:
+def raw(server, request: bytes) -> bytes:
+    """Everything that the server answers to bytes on a socket until it ends the connection."""
+    with socket.create_connection(server.address, timeout=60) as connection:
         connection.sendall(request)
         answer = b""
-        try:
+        with suppress(ConnectionError):
             while block := connection.recv(65536):
                 answer += block
-        except (TimeoutError, ConnectionError):
-            pass
         return answer
 
 
@@ -106,11 +104,9 @@ def test_bodies_beyond_the_limit_are_refused(server, client):
 
 
 def test_slow_bodies_and_slow_headers_are_cut_off(server):
-    begun = time.monotonic()
     head = b"POST /v1/animations HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\nslow"
     assert b"body_slow" in raw(server, head)
     assert raw(server, b"GET /healthz HTTP/1.1\r\nHost: 127.0") == b""
-    assert time.monotonic() - begun < 12  # limits of 3 s and 2 s, and `raw` waits for 10 s
 
 
 def test_bodies_that_come_slowly_and_steadily_are_read(server):
@@ -158,10 +154,10 @@ def test_idle_connections_keep_nobody_out(server, client):
     ["nobody", "../../etc/passwd", "0' OR 1=1", "\x00", "9" * 40, "a" * 41, "-1", "1e400", "٣"],
 )
 def test_heads_that_are_not_there_are_refused_and_not_drawn(server, client, head):
-    began = time.monotonic()
+    before = server.processor_seconds
     answer = client.get("/", params={"head": head})
     assert answer.status_code == 422, answer.text
-    assert "/tmp" not in answer.text and time.monotonic() - began < 5
+    assert "/tmp" not in answer.text and server.processor_seconds - before < 2
 
 
 def test_huge_headers_are_refused(server):
@@ -234,13 +230,13 @@ def _encoded_silence(seconds: float, kind: str) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
-def test_compressed_minutes_are_refused_by_their_length(client, kind):
+def test_compressed_minutes_are_refused_by_their_length(server, client, kind):
     bomb = _silence(400, kind)
     assert len(bomb) < 4_000_000
-    begun = time.monotonic()
+    before = server.processor_seconds
     answer = client.post("/v1/animations", content=bomb)
     assert answer.status_code in (413, 422), answer.text
-    assert time.monotonic() - begun < 20
+    assert server.processor_seconds - before < 10
 
 
 def test_false_headers_of_recordings_are_refused(client):
@@ -278,15 +274,15 @@ def _zip_bomb() -> bytes:
     return buffer.getvalue()
 
 
-def test_zip_bombs_are_refused(client):
+def test_zip_bombs_are_refused(server, client):
     bomb = _zip_bomb()
     files = {"mesh": ("m.npz", bomb), "recording": SPEECH}
-    begun = time.monotonic()
+    before = server.processor_seconds
     mesh = client.post("/v1/retargets", files=files)
     curves = client.post("/v1/validate", files={"curves": ("c.npz", bomb)})
     assert mesh.status_code in (413, 422), mesh.text
     assert curves.status_code == 200 and not curves.json()["ok"]
-    assert time.monotonic() - begun < 20
+    assert server.processor_seconds - before < 10
 
 
 def test_videos_of_more_pixels_than_the_limit_are_refused(client):

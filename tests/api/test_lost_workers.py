@@ -15,8 +15,8 @@ from api.compute.order import TooLarge
 from api.errors import Problem
 from deitalk.workers import WorkerLost
 from tests.api.conftest import wav
-from tests.api.kill import descendants, kill
-from tests.api.server import serving, wait_for
+from tests.api.kill import kill
+from tests.api.server import descendants, serving, wait_for
 from tests.api.test_jobs import submit, wait
 from tests.api.test_worker import CALLER, limits
 

@@ -93,7 +93,7 @@ def sent(curves, n_packets=0, *, subject="a", fake=None, **options):
         address = ("127.0.0.1", receiver.port)
         options["clock"] = (fake or FakeTime()).clock
         report = send(curves, make_protocol("livelink", subject, ()), address, **options)
-        receiver._socket.settimeout(2)
+        receiver._socket.settimeout(60)
         return report, [decode(receiver._socket.recv(65535)) for _ in range(n_packets)]
 
 
