@@ -61,8 +61,7 @@ def test_twenty_edits_of_the_studio_come_back_through_every_door(
     speech = ROOT / "docs/samples/amiable.flac"
     with studio(browser, server) as tab:
         drop(tab, speech)
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
+        until(tab, "deitalk.page.take?.seconds > 1")
         until(tab, "deitalk.studio.isSettled")
         seconds = tab.evaluate("deitalk.page.take.seconds")
         plain = curves_of_page(tab)
@@ -124,8 +123,7 @@ def test_edited_file_becomes_the_last_layer_of_the_studio(browser, server, tmp_p
     with studio(browser, server) as tab:
         assert tab.is_disabled("#from-edited")
         drop(tab, ROOT / "docs/samples/promise.flac")
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
+        until(tab, "deitalk.page.take?.seconds > 1")
         until(tab, "deitalk.studio.isSettled")
         tab.evaluate("deitalk.page.workbench.layers.choose('CTRL_L_nose.ty')")
         tab.evaluate("deitalk.page.seek(1.0)")
@@ -161,8 +159,7 @@ def test_dropped_curves_are_a_reference_and_can_become_a_layer(browser, server, 
     """A file that was exported with a delay and handles, edited, and dropped into the page."""
     with studio(browser, server) as tab:
         drop(tab, ROOT / "docs/samples/promise.flac")
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
+        until(tab, "deitalk.page.take?.seconds > 1")
         until(tab, "deitalk.studio.isSettled")
         plain = curves_of_page(tab)
         assert tab.is_hidden("#other-changes")

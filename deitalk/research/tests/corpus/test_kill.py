@@ -36,7 +36,7 @@ from deitalk.cli.signals import catch_signals
 from deitalk.research.corpus.build import Shard, build
 import sys
 catch_signals()
-shards = [Shard(f"espeak-{i:03d}", "espeak", 60.0, i) for i in range(4)]
+shards = [Shard(f"espeak-{i:03d}", "espeak", 20.0, i) for i in range(4)]
 build(Path(sys.argv[1]), shards, workers=2)
 """
 
@@ -92,7 +92,7 @@ def check_kills(tmp_path: Path, built: Path, choose) -> None:
 
 def test_a_build_killed_at_some_writes_is_equal_after_the_next(tmp_path, built):
     check_kills(
-        tmp_path, built, lambda total: np.random.default_rng(0).choice(total, 4, replace=False) + 1
+        tmp_path, built, lambda total: np.random.default_rng(0).choice(total, 3, replace=False) + 1
     )
 
 
