@@ -134,7 +134,6 @@ def edit(tab) -> None:
     tab.get_by_label("look at").press("Enter")
     tab.get_by_label("seed").fill("7")
     tab.get_by_label("seed").press("Enter")
-    time.sleep(0.5)  # until the page has begun to animate again
     is_quiet(tab)
 
 
@@ -513,12 +512,18 @@ def spoken_command(tab, folder) -> list[str]:
     tab.on("download", lambda d: d.save_as(folder / d.suggested_filename))
     tab.get_by_role("button", name="Edits", exact=True).click()
     until(tab, "document.getElementById('notice').textContent.startsWith('deitalk ')")
-    time.sleep(0.5)
-    return shlex.split(tab.inner_text("#notice"))[1:]
+    words = shlex.split(tab.inner_text("#notice"))[1:]
+    end = time.monotonic() + PATIENCE / 1000
+    while not all((folder / word).exists() for word in words if word.endswith((".csv", ".json"))):
+        assert time.monotonic() < end, words
+        tab.wait_for_timeout(20)
+    return words
 
 
-def animated_again(tab) -> None:
-    time.sleep(0.6)  # until the page has begun
+def choose_file(tab, name: str, path) -> None:
+    """Give a file for an option of the acting, and wait for the take with it."""
+    tab.set_input_files(f"#acting input[name={name}]", path)
+    until(tab, f"'{name}' in deitalk.page.history.edit.acting")
     is_quiet(tab)
 
 
@@ -560,7 +565,7 @@ def test_performance_is_dubbed_as_by_the_command_line(
         until(tab, "document.getElementById('dub').textContent === 'Dub a performance'")
         is_quiet(tab)
         tab.get_by_role("slider", name="Gain of brow").fill("1")
-        animated_again(tab)
+        is_quiet(tab)
         assert np.abs(curve(tab) - own).max() < 1e-3
     assert shown[:2] == ["dub", "face.zip"]
     with zipfile.ZipFile(take) as archive:
@@ -589,10 +594,8 @@ def test_files_of_the_acting_are_chosen_kept_and_left_out(
     shutil.copy(speech, tmp_path)
     monkeypatch.chdir(tmp_path)
     with spoken(browser, server, speech) as tab:
-        tab.set_input_files("#acting input[name=listen_to]", other)
-        animated_again(tab)
-        tab.set_input_files("#acting input[name=after]", tmp_path / "before.json")
-        animated_again(tab)
+        choose_file(tab, "listen_to", other)
+        choose_file(tab, "after", tmp_path / "before.json")
         take = download(tab, "Take", tmp_path)
         shown = spoken_command(tab, tmp_path)
         assert tab.complaints == []
@@ -605,7 +608,7 @@ def test_files_of_the_acting_are_chosen_kept_and_left_out(
         assert text.count("of the take") == 2
         again = download(tab, "CSV", tmp_path)
         tab.get_by_role("button", name="No after", exact=True).click()
-        animated_again(tab)
+        is_quiet(tab)
         assert tab.evaluate("Object.keys(deitalk.page.history.edit.acting)") == ["listen_to"]
     with zipfile.ZipFile(take) as archive:
         archive.extractall("exported")
@@ -675,7 +678,6 @@ def test_longer_recordings_and_their_edits_are_jobs_whose_results_are_shown(
         tab.keyboard.press("p")
         for _ in range(9):
             tab.keyboard.press("ArrowUp")
-        time.sleep(0.5)
         is_quiet(tab)
         shown = shown_values(tab)
         exported = read_curves(download(tab, "CSV", tmp_path))
