@@ -78,7 +78,7 @@ def _answer(self):
 def chosen(*words, path=""):
     done = subprocess.run(
         [sys.executable, TORCH_INDEX, *words], capture_output=True, text=True,
-        env=os.environ | {"PATH": path, "no_proxy": "127.0.0.1"}, timeout=60,
+        env=os.environ | {"PATH": path, "no_proxy": "127.0.0.1"}, timeout=300,
     )  # fmt: skip
     return done.returncode, done.stdout.strip(), done.stderr.strip()
 
@@ -168,7 +168,7 @@ def test_an_environment_outside_of_the_checkout_is_never_cleared(checkout, tmp_p
     environment_of(tmp_path / "other project", "3.11.2", whole=False)
     folder = tmp_path / "other project/.venv"
     command = [sys.executable, checkout / "constraints/environment.py", folder]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1 and "outside of this checkout: remove it" in done.stderr
     assert (folder / "old").exists() and (folder / "pyvenv.cfg").exists()
 

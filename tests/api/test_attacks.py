@@ -34,7 +34,7 @@ TRAVERSALS = (
 
 def raw(server, request: bytes) -> bytes:
     """Everything that the server answers to bytes on a socket until it ends the connection."""
-    with socket.create_connection(server.address, timeout=60) as connection:
+    with socket.create_connection(server.address, timeout=300) as connection:
         connection.sendall(request)
         answer = b""
         with suppress(ConnectionError):
@@ -112,7 +112,7 @@ def test_slow_bodies_and_slow_headers_are_cut_off(server):
 def test_bodies_that_come_slowly_and_steadily_are_read(server):
     """1.3 MB in five seconds, where a body has three and one more for each 64 KiB."""
     recording = b"no audio" * 160_000
-    with socket.create_connection(server.address, timeout=60) as connection:
+    with socket.create_connection(server.address, timeout=300) as connection:
         head = f"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(recording)}"
         connection.sendall(head.encode() + b"\r\nContent-Type: audio/wav\r\n\r\n")
         for start in range(0, len(recording), 1 << 17):
@@ -125,7 +125,7 @@ def test_clients_that_do_not_read_their_answer_are_cut_off(server, client):
     """Thirty megabytes to a client that reads a kilobyte of them."""
     with socket.socket() as connection:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        connection.settimeout(60)
+        connection.settimeout(300)
         connection.connect(server.address)
         head = f"POST /v1/meshes?format=ply HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(SPEECH)}"
         connection.sendall(head.encode() + b"\r\nContent-Type: audio/wav\r\n\r\n" + SPEECH)
@@ -140,10 +140,10 @@ def test_clients_that_do_not_read_their_answer_are_cut_off(server, client):
 
 def test_idle_connections_keep_nobody_out(server, client):
     """300 where 256 may be open: the idle ones make room, for probes and for requests."""
-    idle = [socket.create_connection(server.address, timeout=60) for _ in range(300)]
+    idle = [socket.create_connection(server.address, timeout=300) for _ in range(300)]
     try:
         for path in ("/healthz", "/readyz", "/v1/emotions"):
-            assert httpx.get(server.url + path, timeout=60, trust_env=False).status_code == 200
+            assert httpx.get(server.url + path, timeout=300, trust_env=False).status_code == 200
     finally:
         for connection in idle:
             connection.close()
@@ -360,7 +360,7 @@ def test_server_is_well_after_all_this(server, client):
     malformed = raw(server, b"\x16\x03\x01\x02\x00\x01\x00 TLS\r\n\r\n")
     assert malformed == b"" or status_of(malformed) == 400
     assert client.post("/v1/animations", content=SPEECH).status_code == 200
-    connection = http.client.HTTPConnection(*server.address, timeout=60)
+    connection = http.client.HTTPConnection(*server.address, timeout=300)
     connection.request("GET", "/healthz")
     answer = connection.getresponse()
     assert answer.status == 200 and json.loads(answer.read())["status"] == "ok"

@@ -29,7 +29,7 @@ from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator
 from tests.api.conftest import KEYS, bearer, wav
-from tests.api.server import free_port, wait_for
+from tests.api.server import PATIENCE, free_port, wait_for
 from tests.api.test_queue import CALLER
 
 RATE = 16000
@@ -56,7 +56,7 @@ def live(server, **given):
 
 def begin(session, **given):
     session.send(json.dumps({"type": "start", **given}))
-    return json.loads(session.recv(30))
+    return json.loads(session.recv(PATIENCE))
 
 
 def records(message: bytes, n_values: int):
@@ -94,10 +94,10 @@ def test_wrong_messages_end_the_session_with_a_problem(server, messages, code):
             session.send(message)
         answer = {}
         while answer.get("type") != "problem":
-            answer = json.loads(session.recv(30))
+            answer = json.loads(session.recv(PATIENCE))
         assert answer["code"] == code
         with pytest.raises(ConnectionClosed):
-            session.recv(60)
+            session.recv(PATIENCE)
 
 
 def test_wrong_change_is_answered_and_the_session_goes_on(server):
@@ -109,7 +109,7 @@ def test_wrong_change_is_answered_and_the_session_goes_on(server):
             session.send(json.dumps({"type": "set", **change}))
         session.send(np.zeros(16000, "<i2").tobytes())
         session.send('{"type": "stop"}')
-        while (message := json.loads(session.recv(60)))["type"] != "end":
+        while (message := json.loads(session.recv(PATIENCE)))["type"] != "end":
             told += [message["code"]] if message["type"] == "problem" else []
     assert told == ["emotion_invalid", "option_invalid", "control_invalid", "option_invalid"]
     assert message["frames"] == 30
@@ -124,7 +124,7 @@ def test_error_of_one_session_ends_no_other(server):
                 assert begin(other, **wrong)["code"] in ("model_unfit", "control_invalid")
         session.send(np.zeros(16000, "<i2").tobytes())
         session.send('{"type": "stop"}')
-        while (message := json.loads(session.recv(60)))["type"] == "frames":
+        while (message := json.loads(session.recv(PATIENCE)))["type"] == "frames":
             pass
     assert message == {"type": "end", "frames": 30}
 
@@ -144,9 +144,9 @@ def test_session_without_sound_ends(server, sound):
         begin(session)
         session.send(sound)
         session.send('{"type": "stop"}')
-        assert json.loads(session.recv(60)) == {"type": "end", "frames": 0}
+        assert json.loads(session.recv(PATIENCE)) == {"type": "end", "frames": 0}
         with pytest.raises(ConnectionClosed):
-            session.recv(60)
+            session.recv(PATIENCE)
 
 
 def test_messages_beyond_the_size_close_the_connection(server):
@@ -154,7 +154,7 @@ def test_messages_beyond_the_size_close_the_connection(server):
         begin(session)
         with pytest.raises(ConnectionClosed) as closed:
             session.send(bytes(2_000_000))
-            session.recv(60)
+            session.recv(PATIENCE)
     # RFC 6455: message too big; a reset of what was not read may come before the reason.
     assert closed.value.rcvd is None or closed.value.rcvd.code == 1009
 
@@ -212,7 +212,7 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
 
 def frames_of(session):
     found = []
-    while isinstance(message := session.recv(60), bytes):
+    while isinstance(message := session.recv(PATIENCE), bytes):
         found += records(message, 185)
     return found, json.loads(message)
 
@@ -251,7 +251,7 @@ def test_head_and_life_are_those_of_live_animator(server, tiny_model, frames):
         session.send('{"type": "stop"}')
         values = []
         while True:
-            message = session.recv(60)
+            message = session.recv(PATIENCE)
             if isinstance(message, bytes):
                 values += [row for *_, row in records(message, 191)]
             elif (found := json.loads(message))["type"] == "frames":
@@ -295,7 +295,7 @@ def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
             assert ended.wait(30)
             with pytest.raises(ConnectionClosed):
                 while True:
-                    session.recv(60)
+                    session.recv(PATIENCE)
     finally:
         running.should_exit = True
         thread.join()
@@ -411,7 +411,7 @@ def test_eyes_turn_when_the_listener_moves(server):
         session.send(pcm(1.5, 48_000))
         session.send(json.dumps({"type": "stop"}))
         frames = []
-        while (message := json.loads(session.recv(60)))["type"] == "frames":
+        while (message := json.loads(session.recv(PATIENCE)))["type"] == "frames":
             frames += message["frames"]
     assert message == {"type": "end", "frames": 90}
     assert [frame["index"] for frame in frames] == list(range(90))
@@ -425,12 +425,12 @@ def test_eyes_turn_when_the_listener_moves(server):
 def until_interrupted(session):
     """Records before an interruption, its message, and those after it up to the frame of sound."""
     before, after = [], []
-    while isinstance(message := session.recv(60), bytes):
+    while isinstance(message := session.recv(PATIENCE), bytes):
         before += records(message, 185)
     told = json.loads(message)
     assert told["type"] == "interrupted", told
     while len(after) < 5:
-        after += records(session.recv(60), 185)
+        after += records(session.recv(PATIENCE), 185)
     return before, told, after
 
 
@@ -441,7 +441,7 @@ def test_interrupted_voice_shuts_its_mouth_without_more_sound(server, frame):
         session.send(pcm(2.0))
         seen = 0
         while seen < 45:
-            seen += len(list(records(session.recv(60), 185)))
+            seen += len(list(records(session.recv(PATIENCE), 185)))
         given = {} if frame is None else {"frame": frame}
         session.send(json.dumps({"type": "interrupt", **given}))
         _, told, after = until_interrupted(session)
@@ -451,7 +451,7 @@ def test_interrupted_voice_shuts_its_mouth_without_more_sound(server, frame):
         assert max(np.abs(values[mouth]).max() for _, _, _, values in after[2:]) < 1e-6
         session.send(pcm(1.0))
         session.send('{"type": "stop"}')
-        while isinstance(message := session.recv(60), bytes):
+        while isinstance(message := session.recv(PATIENCE), bytes):
             after += records(message, 185)
     assert json.loads(message) == {"type": "end", "frames": told["next"] + 30}
     assert [index for index, *_ in after] == list(range(told["frame"], told["next"] + 30))
@@ -467,7 +467,7 @@ def test_wrong_interruption_is_answered_and_changes_nothing(server, fields):
         session.send(json.dumps({"type": "interrupt", **fields}))
         session.send('{"type": "stop"}')
         problems, count = [], 0
-        while (message := session.recv(60)) and (
+        while (message := session.recv(PATIENCE)) and (
             isinstance(message, bytes) or json.loads(message)["type"] == "problem"
         ):
             if isinstance(message, bytes):

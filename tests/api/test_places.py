@@ -102,7 +102,7 @@ class Client:
 
     def connect(self) -> socket.socket:
         return socket.create_connection(
-            self.server.address, timeout=20, source_address=(self.source, 0)
+            self.server.address, timeout=300, source_address=(self.source, 0)
         )
 
     def send(self, head: str, body: bytes = b"", **headers: str) -> socket.socket:
@@ -116,7 +116,7 @@ class Client:
     def http(self) -> httpx.Client:
         transport = httpx.HTTPTransport(local_address=self.source or None)
         return httpx.Client(
-            base_url=self.server.url, headers=self.headers, transport=transport, timeout=60
+            base_url=self.server.url, headers=self.headers, transport=transport, timeout=300
         )
 
 
@@ -257,4 +257,4 @@ def test_probes_are_answered_while_every_place_is_held(keyed):
     one, other = Client(keyed, GREEDY, ""), Client(keyed, STRANGER, "")
     with held(one, trickling_body), held(other, trickling_body):
         for path in ("/healthz", "/readyz"):
-            assert httpx.get(keyed.url + path, timeout=30, trust_env=False).status_code == 200
+            assert httpx.get(keyed.url + path, timeout=300, trust_env=False).status_code == 200

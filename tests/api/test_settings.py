@@ -257,7 +257,7 @@ def test_studio_is_opened_once_when_the_service_is_ready(monkeypatch):
     service.voices.is_ready = True
     tick()
     tick()
-    assert opened.get(timeout=60) == "http://127.0.0.1:9/" and opened.empty()
+    assert opened.get(timeout=300) == "http://127.0.0.1:9/" and opened.empty()
 
 
 def test_studio_prints_what_was_given_alone(tmp_path, capsys):

@@ -41,7 +41,7 @@ print(found._library._name, found.data_folder(), found.has_voice("en-us+f1"))
 
 def espeak_in_a_new_process(prelude: str = "") -> str:
     done = subprocess.run(
-        [sys.executable, "-c", prelude + WHICH], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", prelude + WHICH], capture_output=True, text=True, timeout=300
     )
     return done.stdout + done.stderr
 
