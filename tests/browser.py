@@ -46,6 +46,8 @@ def chromium(*flags: str, player: bool = True) -> Iterator[Any]:
         launched.close()
 
 
+PATIENCE = 300_000
+"""Milliseconds for what a browser is asked to do, on a busy machine too."""
 SHARPNESS = 0.25
 """Drawn pixels by CSS pixel: software draws 16 times fewer of them, in a fifth of the time."""
 
@@ -60,6 +62,7 @@ def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
     }
     # the page forbids eval, which Playwright's wait_for_function needs
     with browser.new_context(offline=True, bypass_csp=True, **context) as window:
+        window.set_default_timeout(PATIENCE)
         tab = window.new_page()
         tab.complaints = []
         tab.on(
@@ -67,7 +70,7 @@ def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
         )
         tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
         tab.goto(path.as_uri())
-        tab.wait_for_function("window.deitalk?.ready", timeout=120_000)
+        tab.wait_for_function("window.deitalk?.ready")
         yield tab
 
 

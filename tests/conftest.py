@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -126,7 +127,7 @@ THOROUGH = (
     "tests/api/test_drain.py",
     "tests/api/test_jobs.py",
     "tests/api/test_live.py::test_documented_client_of_a_browser",
-    "tests/api/test_live.py::test_documented_client_sends_a_minute",
+    "tests/api/test_live.py::test_documented_client_sends_more",
     "tests/api/test_live.py::test_sessions_beyond_the_limit_and_other_sites_are_refused",
     "tests/api/test_lost_workers.py",
     "tests/api/test_malformed.py",
@@ -206,6 +207,18 @@ They are of browsers, films, servers under attack, kills, fuzzing, and minutes o
 change that no test of their part notices; and rows of a table of equal cases, of which `make test` has others."""
 
 
+PASSED = os.environ.get("PASSED")
+"""File of tests that passed in runs before, which `.ci/run` does not repeat."""
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Note what passed, where the reports of all processes come together."""
+    if PASSED:
+        passed = terminalreporter.stats.get("passed", ())
+        with open(PASSED, "a", encoding="utf-8") as file:
+            file.writelines(f"{report.nodeid}\n" for report in passed)
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the tests of `THOROUGH`."""
     if item.nodeid.startswith(THOROUGH):
@@ -228,6 +241,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The short files of tests/rig come last, so that all processes end together."""
+    if PASSED and os.path.exists(PASSED):
+        done = set(Path(PASSED).read_text(encoding="utf-8").splitlines())
+        items[:] = [item for item in items if item.nodeid not in done]
     items.sort(key=lambda item: item.nodeid.startswith("tests/rig/"))
     gc.collect()
     gc.freeze()  # what is imported by now

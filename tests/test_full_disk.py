@@ -27,7 +27,8 @@ from tests.deitalk.pipeline.test_curves import SMALL
 from tests.meshes import write_obj
 
 PAGE = 4096  # bytes; the block of a tmpfs
-SHARES = (0.0, 0.3, 0.9)
+SHARES = {True: (0.0, 0.9), False: (0.3,)}
+"""Space for parts of the files, over those that exist (`--force`), then without them."""
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +127,13 @@ def test_full_disk_leaves_old_files_and_no_others(
     assert code == 0, lines
     needed = free - shutil.disk_usage(disk).free
     written = state(out)
-    for force in (True, False):  # first over existing files, then without them
+    for force, shares in SHARES.items():
         if not force:
             shutil.rmtree(out)
             out.mkdir()
             (out / "notes.txt").write_text("mine")
         before = state(out)
-        for share in SHARES:
+        for share in shares:
             ballast = leave_free(disk, int(needed * share))
             code, lines = run(arguments + ["--force"] * force, monkeypatch, capfd)
             ballast.unlink()

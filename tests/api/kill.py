@@ -25,23 +25,10 @@ from pathlib import Path
 import httpx
 
 from tests.api.conftest import wav
-from tests.api.server import Server, start, stop
+from tests.api.server import Server, descendants, start, stop
 
 JOBS_A_ROUND = 3
 WAIT_SECONDS = 900.0
-
-
-def descendants(pid: int) -> list[int]:
-    """Processes below one, of all its threads."""
-    found, parents = [], [pid]
-    while parents:
-        parent = parents.pop()
-        with suppress(OSError):
-            for children in Path(f"/proc/{parent}/task").glob("*/children"):
-                listed = [int(child) for child in children.read_text().split()]
-                found += listed
-                parents += listed
-    return found
 
 
 def kill(pid: int) -> None:

@@ -29,8 +29,7 @@ from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 from tests.api.conftest import wav
-from tests.api.kill import descendants
-from tests.api.server import Server, start, stop, wait_until
+from tests.api.server import Server, descendants, start, stop, wait_until
 from tests.api.test_worker import limits
 
 SPEECH = wav(10.0)

@@ -32,9 +32,9 @@ from api.guard.keys import digest_of
 from api.jobs.table import JOBS
 from tests.api.conftest import wav
 from tests.api.database import serving_postgres
-from tests.api.kill import descendants, kill
+from tests.api.kill import kill
 from tests.api.load import at_once
-from tests.api.server import ROOT, Server, start, stop
+from tests.api.server import ROOT, Server, descendants, start, stop
 
 NAMES = ("anna", "bert", "carl", "dora")
 OUTSTANDING = 4

@@ -28,8 +28,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 from websockets.sync.client import connect
 
 from tests.api.conftest import wav
-from tests.api.kill import descendants
-from tests.api.server import Server, start, stop
+from tests.api.server import Server, descendants, start, stop
 
 AUDIO = {"Content-Type": "audio/wav"}
 FORMATS = ("csv", "take", "livelink", "json")

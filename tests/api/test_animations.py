@@ -2,7 +2,6 @@
 
 import io
 import json
-import zipfile
 
 import numpy as np
 import pytest
@@ -95,31 +94,6 @@ def test_every_format_is_answered_and_not_empty(client, name):
     expected = f'attachment; filename="my line{known.suffix}"'
     assert answer.headers["content-disposition"] == expected
     assert len(answer.content) > 20
-
-
-def test_take_holds_the_files_of_the_command(client):
-    answer = post(client, params={"emotion": "angry"}, headers={"Accept": "application/zip"})
-    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        names = set(archive.namelist())
-        about = json.loads(archive.read("take.json"))
-    assert {"curves.csv", "curves.json", "neutral.npz", "intensity.csv", "audio.wav"} < names
-    assert about["settings"]["emotion"] == "angry" and about["model"]["name"] == "default"
-    assert set(about["files"]) <= names
-
-
-def test_intensity_zero_is_neutral_and_a_curve_replaces_the_prediction(client):
-    def values(**data):
-        answer = post(client, data=data | {"format": "json"})
-        assert answer.status_code == 200, answer.text
-        return answer.json()
-
-    neutral = values(emotion="neutral")["curves"] if "curves" in values() else None
-    zero, factor = values(emotion="happy", intensity="0"), values(emotion="happy")
-    curve = '[{"time": 0, "intensity": 1.5}, {"time": 9, "intensity": 1.5}]'
-    edited = values(emotion="happy", intensity_curve=curve)
-    assert max(zero["intensity"]) == 0 < max(factor["intensity"])
-    assert np.allclose(edited["intensity"], 1.5)
-    assert neutral is None or zero["curves"] == neutral
 
 
 def test_time_code_is_the_recordings_or_the_given_one(client, tmp_path):

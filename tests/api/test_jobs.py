@@ -8,8 +8,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.api.conftest import bearer, wav
-from tests.api.kill import descendants, frozen, kill, run
-from tests.api.server import wait_for, wait_until
+from tests.api.kill import frozen, kill, run
+from tests.api.server import descendants, wait_for, wait_until
 
 LONG = wav(6.0)
 

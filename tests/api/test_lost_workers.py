@@ -15,8 +15,8 @@ from api.compute.order import TooLarge
 from api.errors import Problem
 from deitalk.workers import WorkerLost
 from tests.api.conftest import wav
-from tests.api.kill import descendants, kill
-from tests.api.server import serving, wait_for
+from tests.api.kill import kill
+from tests.api.server import descendants, serving, wait_for
 from tests.api.test_jobs import submit, wait
 from tests.api.test_worker import CALLER, limits
 
@@ -167,7 +167,7 @@ def stopped(pids):
                 continue
 
 
-@pytest.mark.parametrize("kind", ["workers", "fork server", "both"])
+@pytest.mark.parametrize("kind", ["workers", "both"])
 def test_processes_that_are_killed_while_they_wait_are_there_again_without_load(server, kind):
     before = workers_of(server)
     if kind != "workers":
@@ -175,7 +175,7 @@ def test_processes_that_are_killed_while_they_wait_are_there_again_without_load(
     if kind != "fork server":
         for pid in before:
             kill(pid)
-    wait_for(lambda: is_restored(server, before), 120)
+    wait_for(lambda: is_restored(server, before))
     assert animate(server).status_code == 200
 
 
@@ -186,7 +186,7 @@ def test_request_whose_process_is_killed_is_answered(server, kind):
     Which of the two has it cannot be seen from outside.
     """
     for _ in range(20):
-        wait_for(lambda: server_is_ready(server) and len(workers_of(server)) == 2, 120)
+        wait_for(lambda: server_is_ready(server) and len(workers_of(server)) == 2)
         lost, workers = server.metric("lost_workers"), workers_of(server)
         with ThreadPoolExecutor(1) as threads:
             with stopped(workers):
@@ -222,7 +222,7 @@ def test_request_whose_processes_are_all_killed_is_to_be_sent_again(server):
     for answer in answers:
         assert answer.status_code == 503, answer.text
         assert answer.json()["code"] == "worker_lost" and int(answer.headers["retry-after"]) > 0
-    wait_for(lambda: server_is_ready(server) and len(workers_of(server)) >= 2, 120)
+    wait_for(lambda: server_is_ready(server) and len(workers_of(server)) >= 2)
     assert animate(server).status_code == 200
 
 

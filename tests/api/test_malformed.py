@@ -196,7 +196,7 @@ TEXT, BINARY, CLOSE, PING = 1, 2, 8, 9
 )
 def test_messages_that_break_a_rule_close_the_socket_and_are_no_errors_of_ours(server, sent, code):
     size = server.log.stat().st_size
-    with socket.create_connection(server.address, timeout=30) as connection:
+    with socket.create_connection(server.address, timeout=300) as connection:
         connection.sendall(upgrade())
         answer = b""
         while b"\r\n\r\n" not in answer:
@@ -218,7 +218,7 @@ def test_messages_that_break_a_rule_close_the_socket_and_are_no_errors_of_ours(s
 def test_clients_that_leave_in_the_handshake_are_no_errors(server, wait_seconds):
     size = server.log.stat().st_size
     for _ in range(30):
-        connection = socket.create_connection(server.address, timeout=30)
+        connection = socket.create_connection(server.address, timeout=300)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         connection.sendall(upgrade())
         time.sleep(wait_seconds)

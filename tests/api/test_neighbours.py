@@ -1,11 +1,9 @@
 """What one client may take from another: time of workers, places, connections; and who leaves."""
 
 import json
-import os
 import re
 import socket
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import httpx
 import pytest
@@ -14,7 +12,7 @@ from websockets.sync.client import connect
 
 from api.guard.keys import digest_of
 from tests.api.conftest import KEYS, bearer, wav
-from tests.api.kill import descendants, frozen
+from tests.api.kill import frozen
 from tests.api.server import wait_for, wait_until
 
 CLIP = wav(1.0)
@@ -36,29 +34,22 @@ def wait_for_orders(server, count):
     wait_for(lambda: server.metric("busy_orders", bearer("anna")) == count)
 
 
-def processor_seconds(server):
-    """Of the server and its processes."""
-    fields = [
-        Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        for pid in (server.process.pid, *descendants(server.process.pid))
-    ]
-    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
-
-
-def test_first_session_gets_its_header_at_once(crowded):
+def test_first_session_gets_its_header_as_soon_as_the_second(crowded):
     """The model was read when the server started, which takes ten times as long."""
-    wait_for(lambda: "live voices are ready" in crowded.log.read_text(), 120)
-    url = f"{crowded.url.replace('http', 'ws')}/v1/live"
-    with connect(url, additional_headers=bearer("anna"), proxy=None) as live:
-        before = processor_seconds(crowded)
-        live.send(json.dumps({"type": "start"}))
-        assert json.loads(live.recv())["type"] == "header"
-        assert processor_seconds(crowded) - before < 0.15
+    wait_for(lambda: "live voices are ready" in crowded.log.read_text())
+    url, seconds = f"{crowded.url.replace('http', 'ws')}/v1/live", []
+    for _ in range(2):
+        with connect(url, additional_headers=bearer("anna"), proxy=None) as live:
+            before = crowded.processor_seconds
+            live.send(json.dumps({"type": "start"}))
+            assert json.loads(live.recv())["type"] == "header"
+            seconds.append(crowded.processor_seconds - before)
+    assert seconds[0] < 5 * max(seconds[1], 0.03)
 
 
 def request_of(server, name, recording=CLIP, length=None):
     """A connection that has sent a request."""
-    connection = socket.create_connection(server.address, timeout=60)
+    connection = socket.create_connection(server.address, timeout=300)
     head = f"POST /v1/animations HTTP/1.1\r\nHost: {server.url[7:]}\r\nAuthorization: "
     head += f"Bearer {KEYS[name]}\r\nContent-Type: audio/wav\r\n"
     head += f"Content-Length: {length or len(recording)}\r\n\r\n"
@@ -79,7 +70,7 @@ def test_work_of_clients_that_left_is_dropped(crowded):
             wait_for_orders(crowded, 0)
     assert crowded.metric("left_orders", bearer("anna")) == left + 12
     assert send(crowded, "bert").status_code == 200
-    assert httpx.get(f"{crowded.url}/readyz", timeout=60, trust_env=False).status_code == 200
+    assert httpx.get(f"{crowded.url}/readyz", timeout=300, trust_env=False).status_code == 200
 
 
 def test_full_house_refuses_before_the_upload_is_read(crowded):

@@ -1,7 +1,6 @@
 """What programs see of the service: its schema, headers of answers, parts of results."""
 
 import runpy
-import time
 
 import pytest
 from starlette.testclient import TestClient
@@ -13,6 +12,7 @@ from api.messages import formats as messages
 from api.routes.jobs import part_of
 from api.settings import ApiKey, Settings
 from tests.api.conftest import KEYS, bearer, wav
+from tests.api.server import wait_for
 from tests.api.test_jobs import submit, wait
 
 
@@ -144,15 +144,14 @@ def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(observed)
     with observed.server.client(headers=bearer("farm")) as client:
         job = submit(client, recording=wav(1.0), headers=given, name="secret")
         wait(client, job.json()["id"])
-    spans, end = [], time.monotonic() + 20
-    while "job" not in {s.name for s in spans if s.trace_id.hex() == trace}:
-        assert time.monotonic() < end
-        time.sleep(0.1)
-        read = messages.ExportTraceServiceRequest.FromString
-        sent = [
-            resource for _, body in observed.spans.calls for resource in read(body).resource_spans
-        ]
-        spans = [span for each in sent for scope in each.scope_spans for span in scope.spans]
+    read, spans = messages.ExportTraceServiceRequest.FromString, []
+
+    def job_is_told():
+        sent = [each for _, body in observed.spans.calls for each in read(body).resource_spans]
+        spans[:] = [span for each in sent for scope in each.scope_spans for span in scope.spans]
+        return "job" in {span.name for span in spans if span.trace_id.hex() == trace}
+
+    wait_for(job_is_told)
     own = {span.name: span for span in spans if span.trace_id.hex() == trace}
     assert set(own) == {"POST /v1/jobs", "job"}
     assert own["job"].parent_span_id == own["POST /v1/jobs"].span_id

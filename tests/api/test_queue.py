@@ -244,7 +244,7 @@ def test_results_of_one_key_do_not_push_out_another_s(queue):
     assert queue.known_of([*kept, *expired, running]) == {*kept, running}
 
 
-def test_retention_of_twenty_thousand_jobs_takes_less_than_three_seconds(queue):
+def test_retention_of_twenty_thousand_jobs_takes_three_seconds_of_this_process_at_most(queue):
     """0.1.0 loaded every row each minute: 28 s."""
     rows = [
         {"id": f"{k:043}", "owner": f"o{k % 4}", "status": "done", "work": "x" * 2000,
@@ -253,13 +253,10 @@ def test_retention_of_twenty_thousand_jobs_takes_less_than_three_seconds(queue):
     ]  # fmt: skip
     with queue.engine.begin() as connection:
         connection.execute(sql.insert(JOBS), rows)
-    seconds = []
-    for _ in range(3):  # the machine may be busy with other tests
-        began = time.perf_counter()
-        assert queue.expired(0.0, 10**9, {}) == []
-        assert len(queue.known_of([row["id"] for row in rows])) == 20_000
-        seconds.append(time.perf_counter() - began)
-    assert min(seconds) < 3
+    began = time.process_time()
+    assert queue.expired(0.0, 10**9, {}) == []
+    assert len(queue.known_of([row["id"] for row in rows])) == 20_000
+    assert time.process_time() - began < 3
     assert len(queue.expired(0.0, 10 * 4900, {})) == 400
 
 

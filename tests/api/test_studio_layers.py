@@ -14,7 +14,7 @@ from rig import default_controls, read_curves, write_curves
 from rig.curves.edit import clamp
 from rig.curves.layer_files import read_layers
 from tests.api.server import ROOT
-from tests.api.test_studio import command, download, drop, studio, until
+from tests.api.test_studio import command, download, drop, spoken, studio, until
 from tests.browser import chromium, numbers
 from tests.deitalk.preview.test_page import drag
 
@@ -59,11 +59,7 @@ def test_twenty_edits_of_the_studio_come_back_through_every_door(
     browser, server, tmp_path, monkeypatch
 ):
     speech = ROOT / "docs/samples/amiable.flac"
-    with studio(browser, server) as tab:
-        drop(tab, speech)
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
-        until(tab, "deitalk.studio.isSettled")
+    with spoken(browser, server, speech) as tab:
         seconds = tab.evaluate("deitalk.page.take.seconds")
         plain = curves_of_page(tab)
         edit_at_twenty_places(tab, seconds)
@@ -124,8 +120,7 @@ def test_edited_file_becomes_the_last_layer_of_the_studio(browser, server, tmp_p
     with studio(browser, server) as tab:
         assert tab.is_disabled("#from-edited")
         drop(tab, ROOT / "docs/samples/promise.flac")
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
+        until(tab, "deitalk.page.take?.seconds > 1")
         until(tab, "deitalk.studio.isSettled")
         tab.evaluate("deitalk.page.workbench.layers.choose('CTRL_L_nose.ty')")
         tab.evaluate("deitalk.page.seek(1.0)")
@@ -159,11 +154,7 @@ def test_edited_file_becomes_the_last_layer_of_the_studio(browser, server, tmp_p
 
 def test_dropped_curves_are_a_reference_and_can_become_a_layer(browser, server, tmp_path):
     """A file that was exported with a delay and handles, edited, and dropped into the page."""
-    with studio(browser, server) as tab:
-        drop(tab, ROOT / "docs/samples/promise.flac")
-        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
-        tab.keyboard.press("Space")
-        until(tab, "deitalk.studio.isSettled")
+    with spoken(browser, server, ROOT / "docs/samples/promise.flac") as tab:
         plain = curves_of_page(tab)
         assert tab.is_hidden("#other-changes")
         tab.fill("#delay", "2")

@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 import sqlalchemy as sql
@@ -239,7 +239,7 @@ def test_job_routes_wait_for_a_database_that_is_away_and_animations_go_on(served
     server, line = served
     with server.client() as client, server.client() as other:
         job = wait(client, submit(client, wav(0.3)).json()["id"])["id"]
-        long = submit(client, wav(60.0), format="csv").json()["id"]
+        long = submit(client, wav(20.0), format="csv").json()["id"]
         seen = []
 
         def follow():
@@ -259,17 +259,16 @@ def test_job_routes_wait_for_a_database_that_is_away_and_animations_go_on(served
     assert "Traceback" not in server.log.read_text()
 
 
-def test_locked_table_of_sqlite_is_503_for_what_writes_alone(tmp_path):
-    with serving(tmp_path / "data", live_sessions=0) as server, server.client() as client:
-        job = wait(client, submit(client, wav(0.3)).json()["id"])["id"]
-        with sqlite3.connect(tmp_path / "data/jobs.sqlite", isolation_level=None) as table:
-            table.execute("BEGIN IMMEDIATE")
-            for answer in (submit(client, wav(0.3)), client.delete(f"/v1/jobs/{job}")):
-                assert (answer.status_code, answer.json()["code"]) == (503, "database_away")
-                assert int(answer.headers["retry-after"]) > 0
-            for path in ("/metrics", "/v1/jobs", f"/v1/jobs/{job}/result"):
-                assert client.get(path).status_code == 200
-            assert client.post("/v1/animations", content=wav(0.3)).status_code == 200
-            table.execute("ROLLBACK")
-        table.close()
-        assert wait(client, submit(client, wav(0.3)).json()["id"])["status"] == "done"
+def test_locked_table_of_sqlite_is_503_for_what_writes_alone(server, client):
+    job = wait(client, submit(client, wav(0.3)).json()["id"])["id"]
+    table = sqlite3.connect(server.log.with_name("jobs.sqlite"), isolation_level=None)
+    with closing(table):
+        table.execute("BEGIN IMMEDIATE")
+        for answer in (submit(client, wav(0.3)), client.delete(f"/v1/jobs/{job}")):
+            assert (answer.status_code, answer.json()["code"]) == (503, "database_away")
+            assert int(answer.headers["retry-after"]) > 0
+        for path in ("/metrics", "/v1/jobs", f"/v1/jobs/{job}/result"):
+            assert client.get(path).status_code == 200
+        assert client.post("/v1/animations", content=wav(0.3)).status_code == 200
+        table.execute("ROLLBACK")
+    assert wait(client, submit(client, wav(0.3)).json()["id"])["status"] == "done"

@@ -55,7 +55,7 @@ def order(folder, recording, **options):
 
 def test_answer_names_a_file_of_the_folder(worker, tmp_path):
     shares = []
-    answer = worker.run(order(tmp_path, wav(1.0), name="line 7"), 60, shares.append)
+    answer = worker.run(order(tmp_path, wav(1.0), name="line 7"), 600, shares.append)
     assert answer["file"] == "out/line 7.json" and (tmp_path / answer["file"]).stat().st_size
     assert shares == sorted(shares) and shares[-1] == 1.0
     assert answer["facts"]["frames"] == 30
@@ -69,10 +69,10 @@ def test_memory_of_an_order_serves_the_next(worker, tmp_path):
         fields = Path(f"/proc/{worker.pid}/stat").read_text().rpartition(")")[2].split()
         return int(fields[7])
 
-    asked = order(tmp_path, wav(10.0))
+    asked = order(tmp_path, wav(6.0))
     counts = []
-    for _ in range(6):
-        worker.run(asked, 60)
+    for _ in range(4):
+        worker.run(asked, 600)
         counts.append(faults())
     assert min(np.diff(counts)) < 400  # a busy machine takes some pages from a process
 
@@ -159,8 +159,8 @@ def test_worker_that_comes_as_a_client_goes_is_the_next_ones():
 
 def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_path):
     asked = order(tmp_path, wav(2.0)) | {"at_once_seconds": 1.0}
-    assert worker.run(asked, 60) == {"long": 2.0}
-    beyond = worker.run(asked | {"most_seconds": 1.5}, 60)
+    assert worker.run(asked, 600) == {"long": 2.0}
+    beyond = worker.run(asked | {"most_seconds": 1.5}, 600)
     assert beyond["error"][0] == TooLarge.__name__
 
 
@@ -178,9 +178,9 @@ def test_order_that_ends_early_ends_its_process_and_the_next_has_another(
     worker.start()
     before = worker.pid
     with pytest.raises(error):
-        worker.run(order(tmp_path, wav(50.0)), seconds, stopped=lambda: stopped(worker))
+        worker.run(order(tmp_path, wav(20.0)), seconds, stopped=lambda: stopped(worker))
     assert worker.pid is None
-    assert worker.run(order(tmp_path, wav(0.5)), 60)["facts"]["frames"] == 15
+    assert worker.run(order(tmp_path, wav(0.5)), 600)["facts"]["frames"] == 15
     assert worker.pid != before
 
 
@@ -197,7 +197,7 @@ def test_order_beyond_the_memory_is_refused(tmp_path):
 
 def test_error_of_ours_has_no_text_of_the_request(worker, tmp_path):
     asked = order(tmp_path, wav(0.5)) | {"kind": "unknown /etc/passwd"}
-    answer = worker.run(asked, 60)
+    answer = worker.run(asked, 600)
     assert answer["error"] == ["Internal"]
     assert "passwd" not in answer["message"]
     assert answer["message"].startswith("KeyError in api.compute.process._answer:")

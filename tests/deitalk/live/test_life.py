@@ -7,11 +7,7 @@ from deitalk.emotions import LABELS
 from deitalk.live.cues import RunningCues
 from deitalk.live.intensity import Measures
 from deitalk.postprocess.life.amounts import Life
-<<<<<<< HEAD
 from deitalk.postprocess.life.character import Seeds
-from deitalk.postprocess.life.face import STEMS
-=======
->>>>>>> w-t1
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import ACCENT, END, PAUSE, SPEECH, START, STRESS, Cues
 from deitalk.postprocess.tracks import MotionTracks

@@ -13,13 +13,8 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
-<<<<<<< HEAD
-from deitalk.models.folder import embedded_models
 from deitalk.postprocess.edges import LONGEST_QUIET, Edge, edge_of
 from deitalk.postprocess.joins import HEAD_FRAMES, lead
-=======
-from deitalk.postprocess.joins import HEAD_FRAMES, LONGEST_QUIET, Edge, edge_of, lead
->>>>>>> w-t1
 from rig import RigCurves, default_controls
 from rig.errors import UserError
 from tests.deitalk.pipeline.test_curves import SMALL, recording

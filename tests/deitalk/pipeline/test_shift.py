@@ -8,14 +8,7 @@ import soundfile
 
 from deitalk import animate
 from deitalk.batch.run import animate_batch
-<<<<<<< HEAD
-from deitalk.config.curves import Config
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.edges import edge_of
-=======
-from deitalk.postprocess.joins import edge_of
->>>>>>> w-t1
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.curves.shift import shift, start_with_handles

@@ -109,6 +109,7 @@ def test_thirtieths_of_the_app_are_read_at_30(addon, tmp_path):
         ("mouthCornerPullL", "CTRL_expressions_mouthCornerPullL"),
         ("head_lod0_mesh__mouth_corner_pull_L", "CTRL_expressions_mouthCornerPullL"),
         ("blendShape1.jawOpen", "JawOpen"),
+        ("rig:bs|eyeBlink_left", "EyeBlinkLeft"),
         ("Head|ctrl_expressions_jaw_open", "CTRL_expressions_jawOpen"),
     ],
 )

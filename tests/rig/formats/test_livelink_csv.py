@@ -63,14 +63,6 @@ def test_timecodes_of_hand_worked_times(fps, frame, timecode):
     assert codes(frame + 1, rate)[frame] == timecode
 
 
-@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60])
-def test_files_play_at_the_right_speed_by_the_importers_formula(tmp_path, fps):
-    write_curves(tmp_path / "S_1_me.csv", rest_curves(300, fps=fps), format="livelink")
-    times = unreal_live_link.import_csv(tmp_path / "S_1_me.csv").times
-    rate = 30000 / 1001 if fps == 29.97 else fps
-    assert times == pytest.approx(np.arange(300) / rate, abs=1e-5)
-
-
 @given(st.integers(0, 24 * 3600 * 60000 - 1))
 def test_every_timecode_reads_as_written(ticks):
     text = bytes(timecode_text(np.array([ticks]))[0]).decode()
@@ -165,16 +157,17 @@ def test_subject_is_what_the_importer_takes_from_the_name(tmp_path, name, subjec
         assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@pytest.mark.parametrize("slate", ["My_Slate", "speech", "2"])
-@pytest.mark.parametrize("subject", ["anna", "my_phone", "7"])
+@pytest.mark.parametrize(
+    ("slate", "subject"), [("My_Slate", "my_phone"), ("speech", "7"), ("2", "anna")]
+)
 def test_names_of_takes_give_their_subject_in_unreal(slate, subject):
     name = take_name(slate, 3, subject)
     assert name == f"{slate}_take_3_{subject}.csv"
     assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
-@pytest.mark.parametrize("fps", [2, 24, 30, 60, 10000 / 167])
+@pytest.mark.parametrize("n_frames", [1, 2, 16, 17, 31, 32, 100])
+@pytest.mark.parametrize("fps", [2, 24, 30000 / 1001, 60, 10000 / 167])
 def test_files_of_any_length_play_at_the_right_speed_in_unreal(tmp_path, fps, n_frames):
     values = np.zeros((n_frames, 61), np.float32)
     values[:, 17] = np.linspace(0.1, 0.5, n_frames)

@@ -19,8 +19,7 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
-from rig.face.head_pose import quaternions
-from rig.formats.livelink_csv import read_take, with_subject, write_take
+from rig.formats.livelink_csv import read_take, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, protocols, send
 from rig.livelink.protocols import (
     MAX_JSON_BYTES,
@@ -32,7 +31,6 @@ from rig.livelink.protocols import (
 )
 from rig.livelink.sender import REST_REPEATS, Clock
 from tests.readers import take
-from tests.rig.unreal.test_unreal import head_of_rotator
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 JAW = 17
@@ -93,7 +91,7 @@ def sent(curves, n_packets=0, *, subject="a", fake=None, **options):
         address = ("127.0.0.1", receiver.port)
         options["clock"] = (fake or FakeTime()).clock
         report = send(curves, make_protocol("livelink", subject, ()), address, **options)
-        receiver._socket.settimeout(2)
+        receiver._socket.settimeout(60)
         return report, [decode(receiver._socket.recv(65535)) for _ in range(n_packets)]
 
 
@@ -336,7 +334,6 @@ def test_vmc_sends_an_avatars_shapes_and_its_head():
 def test_vmc_turns_the_bone_of_the_head_in_unitys_axes(turn, axis, after):
     pytest.importorskip("pythonosc.osc_packet", reason="needs python-osc")
     from pythonosc.osc_packet import OscPacket
-    from scipy.spatial.transform import Rotation
 
     controls = arkit_controls()
     values = np.zeros(len(controls), np.float32)
@@ -413,18 +410,6 @@ def test_decode_rejects_times_beyond_the_limit():
     packet = Packet("phone", "anna", 2**31 - 1, 0.0, (1, 2**31 - 1), np.zeros(61, np.float32))
     with pytest.raises(FormatError, match=r"at most 4\.29"):
         decode(encode(packet))
-
-
-def test_raw_curves_have_the_head_of_a_subject_in_degrees():
-    head = np.array([[25.0, 10.0, -5.0, 0, 0, 0]], np.float32)
-    curves = RigCurves(np.zeros((1, 1), np.float32), ("a",), control_set="mine", head=head)
-    sent = with_subject(curves)
-    row = dict(zip(sent.names, sent.values[0].tolist(), strict=True))
-    turn = [row[name] for name in ("HeadRoll", "HeadPitch", "HeadYaw")]
-    expected = Rotation.from_quat(quaternions(head)).as_matrix()[0]
-    np.testing.assert_allclose(head_of_rotator(*turn), expected, atol=1e-6)
-    assert row["HeadControlSwitch"] == row["MHFDSVersion"] == row["DisableFaceOverride"] == 1
-    assert len(row) == 1 + 9
 
 
 def test_what_a_protocol_does_not_show_is_counted():

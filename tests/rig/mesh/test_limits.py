@@ -103,6 +103,9 @@ POINTS = np.array(SQUARE.vertices, "<f4").tobytes()
     [
         (ply(("vertex", 5_000_000, "float x", "float y", "float z")), "cut short"),
         (ply(("vertex", 5_000_001, "float x")), "at most 5000000"),
+        (ply(("vertex", 1, "float x"), body=bytes(4)).replace(b"ply", b"plx", 1), "no 'ply'"),
+        (ply(order="odd"), "not a readable PLY"),
+        (ply(), "has no 'vertex' element"),
         (ply(*[("a", 5_000_000)] * 100, order="ascii"), "has no properties"),
         (ply(("a", 5_000_000), order="binary_big_endian"), "has no properties"),
         (ply(("vertex", 4, "float x", "float x")), "one name twice"),

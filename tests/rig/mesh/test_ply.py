@@ -9,7 +9,7 @@ from deitalk.research.meshes.frames import read_ply_sequence
 from rig.errors import FormatError, TopologyError
 from rig.mesh.ply import read_ply, write_ply, write_ply_sequence
 from rig.mesh.trimesh import TriMesh
-from tests.rig.mesh.test_files import CUBE, write
+from tests.rig.mesh.test_files import CUBE
 
 
 @pytest.mark.parametrize("ascii", [True, False])
@@ -38,17 +38,6 @@ def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
     (tmp_path / "a.ply").write_bytes((header.encode() + body)[:-3])
     with pytest.raises(FormatError, match="cut short"):
         read_ply(tmp_path / "a.ply")
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "plx\n", "ply\nformat ascii 1.0\nend_header\n", "ply\nformat odd 1.0\nend_header\n",
-     "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
-     "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\n"],
-)  # fmt: skip
-def test_read_ply_rejects(tmp_path, text):
-    with pytest.raises(FormatError, match=r"a\.ply"):
-        read_ply(write(tmp_path / "a.ply", text))
 
 
 def test_ply_sequence_round_trip(tmp_path, rng):

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.research.poses import pose_values
 from rig.face import build_head
 from rig.mesh.glb_reader import read_glb
@@ -108,16 +106,6 @@ def test_targets_are_sparse_for_an_independent_reader(morphs, file):
         accessor = document.accessors[target["POSITION"]]
         assert accessor.sparse is not None and accessor.sparse.count < accessor.count
     assert file.stat().st_size < 12e6
-
-
-def test_command_writes_and_keeps_what_is_there(tmp_path):
-    out, run = tmp_path / "h.glb", CliRunner()
-    assert run.invoke(app, ["face", "export", "-o", str(out)]).exit_code == 0
-    before = out.read_bytes()
-    again = run.invoke(app, ["face", "export", "-o", str(out)])
-    assert again.exit_code != 0 and out.read_bytes() == before
-    wrong = run.invoke(app, ["face", "export", "-o", str(tmp_path / "h.fbx")])
-    assert wrong.exit_code != 0 and not (tmp_path / "h.fbx").exists()
 
 
 def test_controls_that_are_shown_are_those_of_the_baked_shapes():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls
-from rig.conversion.shape_fit import shape_key
 from rig.errors import ControlError, FormatError, MeshError
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -34,15 +33,6 @@ def weights_of(names, *poses, **options):
         {n: round(float(w), 6) for n, w in zip(names, row, strict=True) if w > 1e-6}
         for row in fit.weights
     ], fit
-
-
-@pytest.mark.parametrize(
-    "spelling",
-    ["eyeBlinkLeft", "EyeBlinkLeft", "eyeBlink_L", "head_lod0.eyeBlinkLeft", "rig:bs|eyeBlink_left",
-     "CTRL_expressions_eyeBlinkL", "eyeBlinkL"],
-)  # fmt: skip
-def test_spellings_of_one_shape_are_one(spelling):
-    assert shape_key(spelling) == "eyeblink_l"
 
 
 def test_known_answers_for_arkit():

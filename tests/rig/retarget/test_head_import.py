@@ -210,15 +210,11 @@ def test_shapes_add_up_and_lips_close_over_an_open_jaw(plain, face):
     assert np.abs(shut - 0.8 * (deltas["jawOpen"] + deltas["mouthClose"])).max() < 0.02
 
 
-@pytest.mark.parametrize("change", [
-    str.lower,
-    str.upper,
-    lambda name: f"Mesh.{name}",
-    lambda name: f"Head|{name}",
-    lambda name: name.replace("Left", "_L").replace("Right", "_R") if name[:3] != "jaw" else name,
-    lambda name: name[0].upper() + name[1:],
-], ids=["lower", "upper", "mesh", "path", "side", "capital"])  # fmt: skip
-def test_other_spellings_are_the_same_head(plain, face, tmp_path, change):
+def test_other_spellings_are_the_same_head(plain, face, tmp_path):
+    def change(name):
+        sided = name.replace("Left", "_L").replace("Right", "_R") if name[:3] != "jaw" else name
+        return f"Head|Mesh.{sided.upper()}"
+
     face.rename(change)
     import_head(face.write(tmp_path / "b.glb"), tmp_path / "b.npz")
     first, second = (read_head(path) for path in (plain[1].path, tmp_path / "b.npz"))
@@ -226,7 +222,7 @@ def test_other_spellings_are_the_same_head(plain, face, tmp_path, change):
         assert np.array_equal(first[name], second[name]), name
 
 
-@pytest.mark.parametrize(("scale", "degrees"), [(0.01, 0), (1, 180), (10, 90), (0.3, -30)])
+@pytest.mark.parametrize(("scale", "degrees"), [(0.01, 180), (10, -30)])
 def test_unit_place_and_facing_do_not_count(plain, face, tmp_path, scale, degrees):
     first, _ = plain
     angle = np.radians(degrees)
@@ -358,7 +354,7 @@ def seen(head: Any, part: slice) -> Any:
     return (mesh.maps.atlas[v, u, :3] * mesh.colors[part]).mean(0)
 
 
-@pytest.mark.parametrize("change", [None, {"offset": [0.5, 0]}, {"offset": [7.5, 3]}])
+@pytest.mark.parametrize("change", [None, {"offset": [7.5, 3]}])
 def test_textures_and_factors_are_the_colours(face, tmp_path, change):
     count = len(face.skin["points"])
     face.pictures = [picture((250, 0, 0), (0, 250, 0)), picture((0, 0, 250))]
@@ -526,6 +522,8 @@ def test_commands_show_the_head(face, tmp_path, baked):
     assert light.max() > 0.6 and light.min() < 0.4
     ran("face", "export", "--identity", tmp_path / "mine.npz", "-o", tmp_path / "out.glb")
     again = read_glb(tmp_path / "out.glb")
+    assert "exists" in refused("face", "export", "-o", tmp_path / "out.glb")
+    assert "h.fbx" in refused("face", "export", "-o", tmp_path / "h.fbx")
     assert np.abs(again.neutral.vertices * 100 - head.neutral).max() < 0.01
     curves = RigCurves(np.tile(BOARD.rest, (3, 1)), BOARD.names)
     from rig import write_curves

@@ -25,15 +25,6 @@ def talking(n_frames=90):
     return RigCurves(values, BOARD.names)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "json", "npz", "raw.csv", "tsv"])
-def test_our_files_are_valid(tmp_path, suffix):
-    write_curves(tmp_path / f"c.{suffix}", talking())
-    validation = validate(tmp_path / f"c.{suffix}")
-    assert validation.ok
-    assert not texts(tmp_path / f"c.{suffix}", "warning")
-    assert "3.00 s" in validation.findings[0].text
-
-
 def test_our_live_link_take_is_valid(tmp_path):
     write_curves(tmp_path / "Slate_take_1_anna.csv", talking(), format="livelink")
     validation = validate(tmp_path / "Slate_take_1_anna.csv")

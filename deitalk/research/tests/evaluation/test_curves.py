@@ -148,6 +148,7 @@ def held_out(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_default_weights_follow_human_voices(held_out):
     if "default" not in embedded_models():
         pytest.skip("the default weights are not in this checkout")

@@ -35,10 +35,7 @@ from deitalk.research.training.pictures import draw_clips
 from rig.face.identity import IDENTITIES
 from tests.command import ran
 from tests.dataset import write_dataset
-from tests.deitalk.models.test_mesh_head import emotional_sheets, write_network
-from tests.deitalk.models.test_mesh_head import tiny as tiny_head
 from tests.deitalk.models.test_mesh_model import (
-    FRONTEND,
     KARRAS,
     LIPS,
     SEGMENT,
@@ -81,10 +78,8 @@ def folder(sequences) -> MeshFolder:
 @pytest.mark.parametrize(
     ("frontend", "motion", "steps", "more"),
     [
-        (FRONTEND, "gradients", 120, {"schedule": "one_cycle"}),
         (SEGMENT, "gradients", 140, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
         (KARRAS, "offsets", 80, {"segment_frames": 8, "schedule": "one_cycle"}),
-        (VOCA, "offsets", 80, {"segment_frames": 8, "batch_size": 32}),
     ],
 )
 def test_tiny_model_learns_the_motion_of_two_speakers(
@@ -167,11 +162,8 @@ def test_run_leaves_exactly_its_files(finished):
     assert pd.read_csv(finished / "development.csv")["step"].tolist() == [2, 4]
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
-    sequences, finished, tmp_path, workers
-):
-    config = resumable(workers=workers)
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(sequences, finished, tmp_path):
+    config = resumable(workers=2)
     with killed_at(3):  # after the evaluation and save of step 2, and one step more
         train_mesh(config, sequences, tmp_path / "run")
     train_mesh(config, sequences, tmp_path / "run", resume=True)
@@ -197,62 +189,13 @@ def test_pictures_show_what_the_training_changes(finished):
 
 
 @pytest.mark.slow
-def test_two_processes_make_the_weights_of_one(tmp_path):
-    """A mesh head, whose layers have no batch statistics, which differ between half batches."""
-    network = write_network(tmp_path / "network")
-    data = emotional_sheets(tmp_path / "meshes")
-    config = tiny_head(network, steps=6, evaluate_every=3, lip_weight=1.0, learning_rate=1e-3)
-    settings = tmp_path / "config.yaml"
-    settings.write_text(yaml.safe_dump(config.model_dump(mode="json")))
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-
-    def fit(launcher: list[str], out: Path) -> None:
-        options = ["--data", str(data), "-o", str(out)]
-        command = [
-            sys.executable,
-            *launcher,
-            "-m",
-            "deitalk.research",
-            "train",
-            str(settings),
-            *options,
-        ]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
-        assert done.returncode == 0, done.stderr[-3000:]
-        assert done.stderr.count("best: step") == 1, "one process reports"
-
-    one, two = tmp_path / "one", tmp_path / "two"
-    fit([], one)
-    fit(["-m", "torch.distributed.run", "--nproc_per_node", "2"], two)
-    tables = [pd.read_csv(run / "metrics.csv") for run in (one, two)]
-    np.testing.assert_allclose(tables[0], tables[1], rtol=1e-3)
-    first, second = (load_model(run / "last").state_dict() for run in (one, two))
-    torch.manual_seed(0)
-    task = MeshTask(config, data)
-    task.read(tmp_path)
-    task.build(torch.device("cpu"))
-    start = task.model.state_dict()
-    moved = sum(float((first[k] - start[k]).abs().sum()) for k in first if "pca" not in k)
-    apart = sum(float((first[k] - second[k]).abs().sum()) for k in first)
-    assert moved > 0 and apart < 1e-3 * moved
-
-
-@pytest.mark.slow
 def test_two_processes_build_one_mesh_folder(tmp_path):
     data = write_dataset(tmp_path / "data", 2, 1, 1.1)
     settings, run = tmp_path / "tiny.yaml", tmp_path / "run"
     settings.write_text(yaml.safe_dump(tiny(steps=2).model_dump(mode="json")))
-    launcher = ["-m", "torch.distributed.run", "--nproc_per_node", "2", "-m", "deitalk"]
-    command = [
-        sys.executable,
-        *launcher,
-        "train",
-        str(settings),
-        "--data",
-        str(data),
-        "-o",
-        str(run),
-    ]
+    launcher = ["-m", "torch.distributed.run", "--nproc_per_node", "2", "-m", "deitalk.research"]
+    given = ["train", str(settings), "--data", str(data), "-o", str(run)]
+    command = [sys.executable, *launcher, *given]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]

@@ -99,7 +99,7 @@ def check_kills(fit, tmp_path: Path, choose) -> None:
 
 def test_run_killed_at_some_writes_and_resumed_equals_the_uninterrupted_one(fit, tmp_path):
     check_kills(
-        fit, tmp_path, lambda total: np.random.default_rng(0).choice(total, 4, replace=False) + 1
+        fit, tmp_path, lambda total: np.random.default_rng(0).choice(total, 3, replace=False) + 1
     )
 
 
