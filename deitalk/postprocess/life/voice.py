@@ -22,14 +22,13 @@ SYLLABLE_SECONDS = 0.06
 """Sigma of the Gaussian that smooths level and pitch: less than a syllable."""
 ACCENT_DISTANCE = 16
 """Least frames from accent to accent, 0.5 s: brows that rise twice within it rise once."""
-ACCENTS_PER_SECOND = 0.55
-"""Most accents of speech: those of the syllables that stand out most. The brows then peak 3.5 to 5
-times in 10 s of reading."""
+ACCENTS_PER_SECOND = 0.47
+"""Most accents of speech: those of the syllables that stand out most."""
 ACCENT_WEIGHTS = (0.35, 0.7, 1.4)
 """Of level, pitch and sonority; smoothed over a syllable, the latter two are higher in long ones.
 A syllable's being chosen so correlates with the sum of its energy, pitch and length, measured
-independently (docs/life.md): by .51 on 12 readers of LibriSpeech, by .53 on 12 of another corpus;
-as many syllables that are chosen by that sum itself reach .61."""
+independently (docs/life.md): by .51 on 16 readers of the training split, by .44 to .47 on others;
+as many syllables that are chosen by that sum itself reach .58."""
 MOST_DEVIATION = 3.0
 """Limit of the deviation of each, standard deviations."""
 SONORITY_SPREAD_DB = 7.0
