@@ -365,17 +365,14 @@ def _eye(look, side=512):
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
 
 
+THICK_FROM = 0.9
+"""Distance from its inner end at which a brow is as thick as it gets, cm."""
+
+
 def brow_crop(person):
     """Least and greatest places of both brows in their own picture (v upwards)."""
     uv = np.concatenate([person.parts[name].uv for name in ("brow_L", "brow_R")])
     return uv.min(0), uv.max(0)
-
-
-def _inner(person, low, high):
-    """Place of the brows' inner ends in their picture, 0 in its middle and 1 at its sides."""
-    ends = [np.abs(2 * (person.parts[n].uv[:, 0] - low[0]) / (high[0] - low[0]) - 1).min()
-            for n in ("brow_L", "brow_R")]  # fmt: skip
-    return min(ends)
 
 
 def _brow(base, person, side=512):
@@ -388,19 +385,22 @@ def _brow(base, person, side=512):
     x, y = low[0] + grid * (high[0] - low[0]), 1 - (high[1] - grid * (high[1] - low[1]))
     rows, columns = np.meshgrid(y * len(alpha) - 0.5, x * alpha.shape[1] - 0.5, indexing="ij")
     hairs = map_coordinates(alpha, [rows, columns], order=1, mode="nearest")
-    inside = Image.new("L", (side, side))
+    inside, thick = np.zeros((side, side), bool), np.ones((side, side))
     for name in ("brow_L", "brow_R"):
-        part = person.parts[name]
+        part, own = person.parts[name], Image.new("L", (side, side))
         corners = side * (part.uv - low) / (high - low)
         corners[:, 1] = side - corners[:, 1]
         for face in part.faces:
-            ImageDraw.Draw(inside).polygon([tuple(corners[v]) for v in face], 255, 255)
-    rim = smooth(distance_transform_edt(np.asarray(inside)) / (0.05 * side))
+            ImageDraw.Draw(own).polygon([tuple(corners[v]) for v in face], 255, 255)
+        out = np.abs(part.points[part.drawn, 0])  # from the middle of the face, about linear in uv
+        plane = np.linalg.lstsq(np.insert(corners, 2, 1, axis=1), out, rcond=None)[0]
+        own = np.asarray(own) > 0
+        far = plane @ np.array([*np.nonzero(own)[::-1], np.ones(own.sum())])
+        thick[own], inside = smooth((far - out.min()) / THICK_FROM), inside | own
+    rim = smooth(distance_transform_edt(inside) / (0.05 * side))
     dense, ground = look["brow_hairs"]
-    out = np.abs(2 * grid - 1)
-    out = smooth((out - _inner(person, low, high)) / 0.4)  # thin at the nose
     alpha = np.clip(dense * hairs + ground * gaussian_filter(hairs, (6, 4)), 0, 1) * rim
-    alpha *= 0.35 + 0.65 * out
+    alpha *= 0.35 + 0.65 * thick
     colour = np.array(look["brow_colour"]) / 255 * (1.25 - 0.4 * hairs[..., None])
     return np.dstack([colour, alpha])
 
