@@ -301,7 +301,7 @@ class Shapes:
         ):  # fmt: skip
             found[name] = np.zeros_like(x)
             found[name][low] = gain * self.units[unit][low]
-        front = np.clip((x[low, 2] - 5) / 4, 0, 1)
+        front = np.clip((x[low, 2] - 3) / 4, 0, 1)
         found["CTRL_C_jaw.ty"][low] += np.outer(front, TEETH_AWAY)
         for row, letter in (("upper", "U"), ("lower", "D")):
             teeth = base.at(f"helper-{row}-teeth")
