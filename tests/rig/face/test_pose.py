@@ -71,7 +71,7 @@ def test_seal_closes_the_lips_in_any_pose(person, share):
         if "lipsTogether" in name:
             values[:, CONTROLS.index(name)] = 1
     head = build_head(person)
-    assert head.lip_gaps(head.pose(values)).max() < (0.03 if share < 0.2 else 0.055)  # cm
+    assert head.lip_gaps(head.pose(values)).max() < (0.03 if share < 0.2 else 0.06)  # cm
 
 
 @pytest.mark.parametrize("person", PEOPLE)
