@@ -275,6 +275,8 @@ def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) 
     ------
     AudioError
         As `checked_waveform`; or if the file cannot be written.
+    rig.errors.TargetError
+        If the disk is full.
     """
     samples = checked_waveform(waveform)
     try:

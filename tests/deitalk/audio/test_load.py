@@ -19,6 +19,7 @@ from deitalk.audio.content import Window
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.errors import AudioError
+from rig.errors import TargetError
 from tests.errors import one_line
 from tests.media import write_silent_video, write_sound
 
@@ -316,7 +317,7 @@ def test_full_disk_leaves_no_partial_file(tmp_path, monkeypatch):
 
     write_wav(tmp_path / "a.wav", [0.5])
     monkeypatch.setattr("deitalk.audio.load.wav_header", full)
-    with pytest.raises(AudioError, match="No space left"):
+    with pytest.raises(TargetError, match="no space left on the disk; free some"):
         write_wav(tmp_path / "a.wav", [0.0])
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
     assert load_audio(tmp_path / "a.wav").n_frames == 1

@@ -120,6 +120,6 @@ def test_write_take_on_a_full_disk_leaves_nothing(tmp_path, performance, monkeyp
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("deitalk.pipeline.performance.write_wav", full)
-    with pytest.raises(TargetError, match="No space left on device"):
+    with pytest.raises(TargetError, match="take: no space left on the disk; free some"):
         write(tmp_path / "take", performance)
     assert list(tmp_path.iterdir()) == []

@@ -18,6 +18,7 @@ from deitalk.preview.video import PANEL_HEIGHT, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
+from rig.errors import TargetError
 from rig.face.render import VIEWS
 from tests.media import write_sound
 
@@ -227,7 +228,7 @@ def test_failing_encoder_leaves_no_file(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(video, "draw_frames", too_small)
-    with pytest.raises(PreviewError, match="cannot be written: No space left"):
+    with pytest.raises(TargetError, match="no space left on the disk; free some"):
         render_video(make_source(5), tmp_path / "v.mp4")
     assert list(tmp_path.iterdir()) == []
 
