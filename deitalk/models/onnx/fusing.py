@@ -25,6 +25,8 @@ def fused(content: Any, left: Collection[str] = ()) -> Any:
     for weight in weights:
         graph.initializer.remove(weight)
         graph.input.append(make_tensor_value_info(weight.name, weight.data_type, weight.dims))
+    for number, node in enumerate(graph.node):  # ONNX Runtime 1.20 makes new names of these
+        node.name = str(number)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     level = onnxruntime.GraphOptimizationLevel
