@@ -75,7 +75,7 @@ class ScaleOpening(Section):
     measurements are not repeated here.)
     """
 
-    gain: Slope = 1.5
+    gain: Slope = 1.4
     """Increase of the opening per unit of intensity above the usual."""
     usual: Share = 0.73
     """Intensity from which the opening increases; weak readings would be mumbled below it."""
