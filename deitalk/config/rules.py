@@ -77,13 +77,12 @@ class ScaleOpening(Section):
 
     gain: Slope = 1.4
     """Increase of the opening per unit of intensity above the usual."""
-    usual: Share = 0.73
+    usual: Share = 0.67
     """Intensity from which the opening increases; weak readings would be mumbled below it."""
-    spread: Inner = 0.06
+    spread: Inner = 0.08
     """How far a reading opens the mouth above its mean in a usual take (`opening_spread`)."""
-    evened: Share = 0.4
-    """Power of the usual spread over that of the take: 0 leaves the readings as they are; with more
-    than .4 calm takes of one corpus open the jaw as far as shouts."""
+    evened: Share = 0.6
+    """Power of the usual spread over that of the take: 0 leaves the readings as they are."""
 
 
 class KeepContacts(Section):
