@@ -75,11 +75,11 @@ class ScaleOpening(Section):
     readers the slope of the logarithm of the measured spread on that of the read one is .55.
     """
 
-    gain: Slope = 1.4
+    gain: Slope = 1.3
     """Increase of the opening per unit of intensity above the usual."""
-    usual: Share = 0.67
+    usual: Share = 0.65
     """Intensity from which the opening increases; weak readings would be mumbled below it."""
-    spread: Inner = 0.08
+    spread: Inner = 0.07
     """How far a reading opens the mouth above its mean in a usual take (`opening_spread`)."""
     evened: Share = 0.6
     """Power of the usual spread over that of the take: 0 leaves the readings as they are."""
