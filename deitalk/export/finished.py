@@ -24,9 +24,7 @@ from deitalk.postprocess.factors import (
     expression_scale,
     held_intensity,
     mean_around,
-    mouth_opening,
     opening_factor,
-    opening_spread,
 )
 from deitalk.postprocess.feeling import felt_intensity, voice_intensity
 from deitalk.postprocess.gates import gates_of
@@ -116,8 +114,8 @@ class FinishedClip(nn.Module):
             frames = strength_frames(prosody, speaking)
             _, strengths = phrase_strengths(*vocal_strength().follow(frames), speaking, effort)
             voice = voice_intensity(network, prosody, speaking, strengths, rule)
-        spread = opening_spread(mouth_opening(self.controls, neutral), speaking)
-        opening = opening_factor(rules.scale_opening, mean_around(voice, speaking), spread)
+        near, usual = mean_around(voice, speaking), mean_around(network, speaking)
+        opening = opening_factor(rules.scale_opening, near, usual)
         pose = held_sound(levels, prosody.tone, rules.hold_pose or HoldPose())
         mouth, expression = gates_of(speaking, rest, rules.gates)
         # Intensity: of the voice, or as drawn, which silence does not change.

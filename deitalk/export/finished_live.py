@@ -26,7 +26,6 @@ from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.factors import (
     expression_scale,
     held_intensity,
-    mouth_opening,
 )
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
@@ -150,10 +149,7 @@ class FinishedLive(nn.Module):
         rest = torch.where(begun[:, 0], rest, torch.zeros_like(rest))
         window = sound[:, :WINDOW]
         measured = FrameMeasures.of_rows(self.levels(window), self.prosody(window), 1)
-        opening = mouth_opening(self.model.controls, rows.neutral)
-        found, measures = self.analysis(
-            measured, rows.strength, rows.effort, opening, rest, analysed
-        )
+        found, measures = self.analysis(measured, rows.strength, rows.effort, rest, analysed)
         held, scale, rule = rows.strength, factor[:, None], self.model.rules.voice_intensity
         labels = labels[:, None]
         if rule is not None:

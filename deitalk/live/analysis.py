@@ -12,16 +12,12 @@ from deitalk.array_functions import Array, join, library
 from deitalk.audio.held_sound import Held, HeldState, first_held, follow_held
 from deitalk.audio.prosody import Prosody, measure_windows
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, window_levels
-from deitalk.config.rules import HoldPose, RulesConfig, ScaleOpening
+from deitalk.config.rules import HoldPose, RulesConfig
 from deitalk.live.activity import ActivityState, RunningActivity
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
 from deitalk.models.protocol import SpectraGrid
-from deitalk.postprocess.factors import above, opening_factor
+from deitalk.postprocess.factors import LEARNT_USUAL, opening_factor
 from rig.arrays import Float32
-
-USUAL_OPENING, SPREAD_SMOOTHING = 0.2, 1 / 150
-"""Mean opening of the mouth before any is read, and the share of a new frame of speech in it and in
-its spread: they are of some 5 s."""
 
 
 class FrameMeasures(NamedTuple):
@@ -108,26 +104,19 @@ class VoiceAnalysis:
         intensity = () if self.intensity is None else self.intensity.first(batch)
         measured = np.zeros((batch, self.delay, len(Measures._fields)))
         held = first_held(batch, len(BAND_EDGES_HZ) - 1)
-        opens = self.rules.scale_opening or ScaleOpening()
-        means = np.tile((opens.usual, USUAL_OPENING, opens.spread**2), (batch, 1))
+        means = np.full((batch, 2), LEARNT_USUAL)
         return (*self.activity.first(batch), *held, measured, means, *intensity)
 
     def begin(self, windows: Float32, state: State) -> State:
         """Take the first frames, as many as the grid's `delay` [shape=(B, delay, W)]."""
         none = np.zeros(windows.shape[:2], np.float32)
         _, after = self(
-            FrameMeasures.of_windows(windows, self.device), none, none, none, none[:, 0], state
+            FrameMeasures.of_windows(windows, self.device), none, none, none[:, 0], state
         )
         return (*after[:N_SOUND], *state[N_SOUND:])
 
     def __call__(
-        self,
-        measured: FrameMeasures,
-        network: Array,
-        effort: Array,
-        opening: Array,
-        rest: Array,
-        state: State,
+        self, measured: FrameMeasures, network: Array, effort: Array, rest: Array, state: State
     ) -> tuple[Analysis, State]:
         """Analyse the next frames.
 
@@ -135,9 +124,8 @@ class VoiceAnalysis:
         ----------
         measured : FrameMeasures
             Of the frames that are `delay` after those of the network's rows.
-        network, effort, opening : array [shape=(B, n)]
-            Of the rows: predicted intensity, strength of the voice, and opening of the mouth in the
-            neutral reading.
+        network, effort : array [shape=(B, n)]
+            Of the rows: predicted intensity, and strength of the voice.
         rest : array [shape=(B,), range 0 to 1]
             Share of the expression that stays in silence.
         state : State
@@ -159,14 +147,8 @@ class VoiceAnalysis:
         voice = network
         if self.intensity is not None:
             voice, intensity = self.intensity(network, measures, speaking, effort, intensity)
-        near, voices = follow_means(voice[..., None], speaking, means[:, :1])
-        usual, openings = follow_means(
-            opening[..., None], speaking, means[:, 1:2], SPREAD_SMOOTHING
-        )
-        squares = above(opening[..., None], usual)
-        spread, squares = follow_means(squares, speaking, means[:, 2:], SPREAD_SMOOTHING)
-        means = join((voices, openings, squares), 1)
-        spread = library(network).sqrt(spread[..., 0])
-        factor = opening_factor(self.rules.scale_opening, near[..., 0], spread)
-        found = Analysis(measures, speaking, voice, factor, mouth, expression, held)
+        both = library(network).stack((voice, network), axis=-1)
+        near, means = follow_means(both, speaking, means)
+        opening = opening_factor(self.rules.scale_opening, near[..., 0], near[..., 1])
+        found = Analysis(measures, speaking, voice, opening, mouth, expression, held)
         return found, (*activity, *past, rows[:, count:], means, *intensity)

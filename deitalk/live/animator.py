@@ -27,7 +27,7 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.factors import expression_scale, held_intensity, mouth_opening
+from deitalk.postprocess.factors import expression_scale, held_intensity
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.character import Seeds
@@ -475,8 +475,7 @@ class LiveAnimator:
         past = take(self.past, ready)
         stays = np.array([stream.acting.rest for stream in streams], np.float32)
         measured = FrameMeasures.of_windows(sound, self.network.device)
-        opening = mouth_opening(self.network.controls, rows.neutral)
-        found, past = self.analysis(measured, rows.strength, rows.effort, opening, stays, past)
+        found, past = self.analysis(measured, rows.strength, rows.effort, stays, past)
         put(self.past, ready, past)
         # Factors.
         rules = self.network.rules
@@ -553,7 +552,7 @@ class LiveAnimator:
             np.zeros((len(who), count), np.float32),
         )
         measured = FrameMeasures.of_windows(sound, self.network.device)
-        analysed, past = self.other_analysis(measured, none, none, none, none[:, 0], kept[:-size])
+        analysed, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
         found, after = self.cues(analysed.measures, analysed.speaking, before)
         now: Arrays = *past, *after

@@ -133,10 +133,8 @@ def _displayed(values: Array, distance: Array, speaking: Array, toned: Array) ->
     return xp.stack((display, presence, xp.where(speaking, moved, near)), axis=-1)
 
 
-def follow_means(
-    rows: Array, speaking: Array, means: Array, share: float = AROUND_SMOOTHING
-) -> tuple[Array, Array]:
-    """Means of values over the last speech, by default over a second of it.
+def follow_means(rows: Array, speaking: Array, means: Array) -> tuple[Array, Array]:
+    """Means of values over the last second of speech.
 
     Parameters
     ----------
@@ -146,8 +144,6 @@ def follow_means(
         Frames that count.
     means : array [shape=(B, K)]
         Before them.
-    share : float
-        Of a new frame.
 
     Returns
     -------
@@ -156,6 +152,6 @@ def follow_means(
     """
     found = []
     for k in range(rows.shape[1]):
-        means = means + share * speaking[:, k, None] * (rows[:, k] - means)
+        means = means + AROUND_SMOOTHING * speaking[:, k, None] * (rows[:, k] - means)
         found.append(means)
     return library(rows).stack(found, axis=1), means

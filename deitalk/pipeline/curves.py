@@ -44,13 +44,7 @@ from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.marks import TimedMark, levels, with_accents, with_emotions
-from deitalk.postprocess.factors import (
-    held_intensity,
-    mean_around,
-    mouth_opening,
-    opening_factor,
-    opening_spread,
-)
+from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
@@ -431,9 +425,8 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
         words = align_words(speech, prepared.words)
     phones = phone_tracks(() if words is None else words.known, len(weights))
     # What the pass reads of each frame besides the readings.
-    spread = opening_spread(mouth_opening(network.controls, neutral), speaking)
-    near = mean_around(intensities.voice, speaking)
-    opening = opening_factor(rules.scale_opening, near, spread)
+    near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
+    opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
     heard = intensities.voice[speaking]
     state = state_of_intensity(float(median(heard))) if len(heard) else None

@@ -8,15 +8,15 @@ from typing import Any
 
 from deitalk.array_functions import Array, as_number, library, like, mean_of, single, smoothed
 from deitalk.config.rules import Expressions, ScaleOpening
-from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 
 LEAST_PREDICTED = 0.2
 """Lower bound of the predicted intensity that an applied one is divided by; below it the pose that
 networks are taught is added."""
-LEAST_SPREAD = 0.4
-"""Share of the usual spread of the opening that counts at least: a hum opens no mouth."""
+LEARNT_GAIN, LEARNT_USUAL = 0.45, 0.575
+"""Increase of the opening per unit of intensity that networks are taught, and the intensity at
+which it is 0."""
 AROUND_FRAMES = 30.0
 """Sigma of the speech around a frame in which it and the intensity are measured, 1 s."""
 UPPER = ("brow", "eye", "nose")
@@ -46,40 +46,25 @@ def mean_around(values: Array, speaking: Array) -> Array:
     return single(library(values).where(speaking.any(), total / weight, values))
 
 
-def mouth_opening(controls: ControlSet, reading: Array) -> Array:
-    """Mean of the controls that `ScaleOpening` scales, of a reading (..., C); 0 without any."""
-    columns = like(ControlGroups(controls).lively, reading)
-    return reading[..., columns].sum(-1) / max(len(columns), 1)
+def opening_factor(rule: ScaleOpening | None, voice: Array, network: Array) -> Array:
+    """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
-
-def opening_spread(opening: Array, speaking: Array) -> Array:
-    """How far the mouth opens above its mean in speech (T,): root mean square [shape=()]."""
-    return library(opening).sqrt(mean_of(above(opening, mean_of(opening, speaking)), speaking))
-
-
-def above(opening: Array, mean: Array) -> Array:
-    """Square of what an opening is above a mean; below it 0."""
-    return library(opening).clip(opening - mean, 0, None) ** 2
-
-
-def opening_factor(rule: ScaleOpening | None, voice: Array, spread: Array) -> Array:
-    """Factor on the opening of the mouth for the intensity of the voice [shape=(T,)].
+    The network opens it for the intensity that it predicts, by the law of its training data:
+    45 % more per unit of intensity. The factor is the law
+    of people (`ScaleOpening`) at the intensity of the voice over that of the network.
 
     Parameters
     ----------
     rule : ScaleOpening or None
         Its numbers; None: 1 everywhere.
-    voice : array or Tensor [shape=(T,), range 0 to 1.2]
-        Intensity of the voice, as its mean over the speech around a frame; the reading itself has
-        the faster variation.
-    spread : array or Tensor [shape=() or (T,)]
-        That of the opening in the neutral reading (`opening_spread`).
+    voice, network : array or Tensor [shape=(T,), range 0 to 1.2]
+        Intensity of the voice, and the one that the network predicts, each as its mean over the
+        speech around a frame; the reading itself has the faster variation.
     """
     if rule is None:
         return 0 * voice + 1
-    xp = library(voice)
-    opened = 1 + rule.gain * xp.clip(voice - rule.usual, 0, None)
-    return single(opened * xp.clip(spread / rule.spread, LEAST_SPREAD, None) ** -rule.evened)
+    opened = 1 + rule.gain * library(voice).clip(voice - rule.usual, 0, None)
+    return single(opened / (1 + LEARNT_GAIN * (network - LEARNT_USUAL)))
 
 
 def held_intensity(

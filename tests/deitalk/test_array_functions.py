@@ -14,7 +14,7 @@ from deitalk.config.rules import Gates, HoldPose, RulesConfig, ScaleOpening
 from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.models.protocol import SpectraGrid
 from deitalk.pipeline.speech import phrase_strengths
-from deitalk.postprocess.factors import mean_around, opening_factor, opening_spread
+from deitalk.postprocess.factors import mean_around, opening_factor
 from deitalk.postprocess.feeling import voice_intensity
 from deitalk.postprocess.gates import gates_of
 from tests.deitalk.audio.test_prosody import voice
@@ -52,12 +52,7 @@ def analysed(levels, prosody, network):
         rows = slice(at, at + 7)
         call = FrameMeasures(*(part[:, rows] for part in measured))
         found, state = analysis(
-            call,
-            network[None, rows],
-            9 * network[None, rows],
-            network[None, rows],
-            network[:1],
-            state,
+            call, network[None, rows], 9 * network[None, rows], network[:1], state
         )
         parts.append(found[1:-1])
     return parts
@@ -106,7 +101,7 @@ CASES = {
     ),
     "intensity": (lambda f, n, *p: voice_intensity(n, Prosody(*p), f, 2 * n), SPEAKING, NETWORK, *PROSODY),
     "opening": (
-        lambda n, f: opening_factor(ScaleOpening(), mean_around(n, f), opening_spread(n / 4, f)),
+        lambda n, f: opening_factor(ScaleOpening(), mean_around(n, f), mean_around(n * n, f)),
         NETWORK, SPEAKING,
     ),
     "analysis": (lambda x, n, *p: analysed(x, Prosody(*p), n), LEVELS, NETWORK, *PROSODY),

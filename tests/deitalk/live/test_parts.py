@@ -132,7 +132,7 @@ def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     rest = np.zeros(2, np.float32)
     silence = np.zeros((2, 5, WINDOW), np.float32)
     found, _ = analysis(
-        FrameMeasures.of_windows(silence), network, 0 * network, network, rest, analysis.first(2)
+        FrameMeasures.of_windows(silence), network, 0 * network, rest, analysis.first(2)
     )
     np.testing.assert_array_equal(found.intensity, network)
 
@@ -154,7 +154,7 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(grid, rng):
     analysis, n_frames = VoiceAnalysis(RulesConfig(), grid), 64
     sound = 0.1 * rng.standard_normal((3, n_frames, WINDOW)) * (rng.random((3, n_frames, 1)) < 0.6)
     sound = (sound * np.array([1.0, 0.1, 3.0])[:, None, None]).astype(np.float32)
-    read = rng.random((3, 3, n_frames)).astype(np.float32)
+    network, effort = rng.random((2, 3, n_frames)).astype(np.float32)
     rest = np.array([0, 0.3, 1], np.float32)
     state = list(analysis.first(3))
     put(state, [1], analysis.begin(0.1 + sound[1:2, : grid.delay], analysis.first(1)))
@@ -162,12 +162,12 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(grid, rng):
     for size in (1, 7, 30, 2, 24):
         rows = slice(at, at + size)
         found, state = analysis(
-            FrameMeasures.of_windows(sound[:, rows]), *read[:, :, rows], rest, state
+            FrameMeasures.of_windows(sound[:, rows]), network[:, rows], effort[:, rows], rest, state
         )
         together.append(np.stack((*found[1:-1], *found.held), axis=-1))
         at += size
     for k in range(3):
-        windows, *own = (part[k : k + 1] for part in (sound, *read, rest))
+        windows, *own = (part[k : k + 1] for part in (sound, network, effort, rest))
         alone, _ = analysis(FrameMeasures.of_windows(windows), *own, take(first, [k]))
         expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)

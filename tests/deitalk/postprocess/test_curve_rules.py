@@ -11,13 +11,10 @@ from deitalk.config.rules import Expressions, RulesConfig, ScaleOpening
 from deitalk.emotions import LABELS
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.factors import (
-    LEAST_SPREAD,
     expression_scale,
     held_intensity,
     mean_around,
-    mouth_opening,
     opening_factor,
-    opening_spread,
 )
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
@@ -226,33 +223,14 @@ def half_open() -> np.ndarray:
     return curves
 
 
-def test_mouth_opens_with_an_intensity_above_the_usual_and_contacts_stay():
+def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     curves = half_open()
+    predicted = np.full(3, 0.575, np.float32)
     strength = np.array([0, 0.2, 0.2], np.float32) + np.float32(OPENS.usual)
-    RULES.scale_opening(curves, opening_factor(OPENS, strength, np.float32(OPENS.spread)))
+    RULES.scale_opening(curves, opening_factor(OPENS, strength, predicted))
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * (1 + 0.2 * OPENS.gain), 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
-
-
-def test_spread_is_that_above_the_mean_in_speech():
-    """Speech of 0, 0, 0 and .4 has the mean .1 and is above it by .3 in one frame of four."""
-    opening = np.array([0.9, 0, 0.4, 0, 0, 0.9])
-    speaking = np.array([False, True, True, True, True, False])
-    np.testing.assert_allclose(opening_spread(opening, speaking), np.sqrt(0.3**2 / 4))
-    assert opening_spread(opening, 0 * speaking > 0) == 0
-    shared = mouth_opening(CONTROLS, half_open())
-    np.testing.assert_allclose(shared, 0.4 / 5, rtol=1e-6)
-
-
-def test_takes_are_evened_by_a_power_of_their_spread_and_a_hum_by_a_bound():
-    """At evened 1 every take has the usual spread; at 0 each keeps its own."""
-    weak, take = np.zeros(3), 0.2
-    for evened, expected in ((0, take), (0.5, np.sqrt(take * OPENS.spread)), (1, OPENS.spread)):
-        rule = ScaleOpening(evened=evened)
-        np.testing.assert_allclose(take * opening_factor(rule, weak, take), expected, rtol=1e-6)
-    rule = ScaleOpening(evened=1)
-    np.testing.assert_allclose(opening_factor(rule, weak, 0.0), 1 / LEAST_SPREAD, rtol=1e-6)
 
 
 def test_the_opening_follows_the_speech_around_a_frame_and_no_syllable(rng):
