@@ -5,8 +5,7 @@ together by the seal, and set apart where they cross; lashes and brows with the 
 eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -55,11 +54,7 @@ MOUTH_REACH = np.array([[0.6, 1.0, 4.0], [0.6, 1.5, 0.0]])
 BATCH, FEW, MANY = 64, 16, 16
 """Frames that are posed together; of these, those whose sums of shapes stay in the cache; weights a
 shape that are worth the import of sparse matrices."""
-ROUNDING = 1e-5
-"""What a sum of movements is out by, cm: a vertex that moves less is at rest."""
 Half = tuple[str, ...]
-Moved = tuple[Int64, Float32]
-"""Vertices (n,), ascending, and how far each moves (n, 3)."""
 LID_RAISERS = ("eye_cheekRaise", "eye_squintInner", "eye_eyelidD", "mouth_cornerPull", "nose")
 """Controls that raise the lower lid, which a blink takes back so that lids never cross."""
 CORRECTIVES: dict[str, tuple[Half, Half]] = {
@@ -126,15 +121,10 @@ class Lip:
 
     def within(self, count: int) -> "Lip":
         """The lip's part of the first `count` vertices."""
-        place = np.arange(1 + max(self.rim.max(initial=0), self.reach.max(initial=0)))
-        return self.among(np.where(place < count, place, -1))
-
-    def among(self, place: Int64) -> "Lip":
-        """The lip's part of the vertices whose new number `place` [shape=(V,)] is not negative."""
-        rim, reach = place[self.rim] >= 0, place[self.reach] >= 0
+        rim, reach = self.rim < count, self.reach < count
         weight = self.weight[:, rim] + np.float32(1e-12)
-        return Lip(place[self.rim[rim]], weight / weight.sum(1, keepdims=True),
-                   place[self.reach[reach]], self.column[reach], self.share[reach])  # fmt: skip
+        return Lip(self.rim[rim], weight / weight.sum(1, keepdims=True), self.reach[reach],
+                   self.column[reach], self.share[reach])  # fmt: skip
 
 
 class EmbeddedMaps(Maps):
@@ -225,14 +215,6 @@ class Motion:
         """Vertices (n,) that shape k moves, and their displacements (n, 3), cm, without gain."""
         part = slice(self.starts[k], self.starts[k + 1])
         return self.vertex[part], self.delta[part] * np.float32(self.step)
-
-    def among(self, place: Int64) -> "Motion":
-        """The motion of the vertices whose new number `place` [shape=(V,)] is not negative."""
-        kept = place[self.vertex] >= 0
-        starts = np.concatenate([[0], np.cumsum(kept)])[self.starts]
-        upper, lower = (lip.among(place) for lip in self.lips)
-        return replace(self, starts=starts, vertex=place[self.vertex[kept]], delta=self.delta[kept],
-                       lips=(upper, lower))  # fmt: skip
 
 
 def _bind() -> tuple[tuple[str, ...], Float32]:
@@ -345,7 +327,6 @@ class Head:
             for ids, eye in zip(self.lids, self.eyes, strict=True)
         ]
         self._rest = self.straight.astype(np.float32)
-        self._weld = stored["weld"].astype(np.int64)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -360,7 +341,7 @@ class Head:
             self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
             stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
             stored["kind"].astype(np.int64), maps,
-            self._weld,
+            stored["weld"].astype(np.int64),
         )  # fmt: skip
 
     @cached_property
@@ -494,90 +475,7 @@ class Head:
             turn = _gaze_matrix(pitch[:, place], yaw[:, place])
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
-        out[:, seam] = out[:, self._weld[seam]]
-
-    def moved(self, values: AnyFloat) -> list[Moved]:
-        """What each pose moves, of control values [shape=(T, 185)] as of `pose`.
-
-        Returns
-        -------
-        moved : list of (ndarray [shape=(n,)], ndarray [shape=(n, 3)])
-            Vertices, ascending, and how far each is from its neutral place, cm.
-        """
-        halves = self.motion.halves(np.asarray(values, np.float64))
-        weights = self.motion.weights(halves).astype(np.float32)
-        free, mouth, eyes = self._pieces
-        rest = default_controls().rest
-        gaze = np.hstack(gaze_degrees(np.vstack([rest, values]), self.convergence))
-        acts = np.hstack(self._sealed(halves)).any(1), (gaze[1:] != gaze[0]).any(1)
-        bent = []
-        for (ids, part), is_on in zip((mouth, eyes), acts, strict=True):
-            drives = np.diff(part.motion.starts) > 0
-            rows = np.flatnonzero(is_on | weights[:, drives].any(1))
-            bent.append(
-                (ids, dict(zip(rows, part.pose(values[rows]) - part.pose(rest), strict=True)))
-            )
-        seam = np.arange(len(self.straight))[self.slices["seam"]]
-        found = []
-        for t, row in enumerate(weights):
-            shapes = [(k, *free.shape(int(k))) for k in np.flatnonzero(row)]
-            ids, away = summed([(vertex, row[k] * delta) for k, vertex, delta in shapes])
-            pieces = [(ids, away)]
-            for ids, moves in bent:
-                if t in moves:
-                    some = np.flatnonzero((np.abs(moves[t]) > ROUNDING).any(1))
-                    pieces.append((ids[some], moves[t][some]))
-            ids, away = summed(pieces)
-            twin = np.searchsorted(ids, self._weld[seam]).clip(0, max(len(ids) - 1, 0))
-            if len(ids):
-                is_twin = ids[twin] == self._weld[seam]
-                ids, away = summed([(ids, away), (seam[is_twin], away[twin[is_twin]])])
-            found.append((ids, away))
-        return found
-
-    @cached_property
-    def _pieces(self) -> "tuple[Motion, tuple[Int64, Head], tuple[Int64, Head]]":
-        """Motion of what shapes alone move; vertices of mouth and eyes, and a head of them alone.
-
-        The seam has neither.
-        """
-        eyes = np.arange(self.slices["eye_L"].start, self.slices["eye_R"].stop)
-        mouth = [ids for lip in self.motion.lips for ids in (lip.rim, lip.reach)]
-        place = np.arange(len(self.straight))
-        place[self.slices["seam"]] = -1
-        parts = []
-        for ids in map(
-            np.unique,
-            map(np.concatenate, (mouth, [*self.lids, self.follow, self.near.ravel(), eyes])),
-        ):
-            assert (place[ids] >= 0).all(), "mouth, eyes and seam have vertices in common"
-            place[ids] = -1
-            parts.append((ids, self._part(ids)))
-        return self.motion.among(place), parts[0], parts[1]
-
-    def _part(self, ids: Int64) -> "Head":
-        """A head of some vertices alone, in their order; `pose` is all that it is for."""
-        place = np.full(len(self.straight), -1)
-        place[ids] = np.arange(len(ids))
-        part = object.__new__(Head)
-        part.motion, part.straight, part._rest = (
-            self.motion.among(place),
-            self.straight[ids],
-            self._rest[ids],
-        )
-        part.eyes, part.convergence, part._weld = self.eyes, self.convergence, ids[:0]
-        kept = [place[lid] >= 0 for lid in self.lids]
-        part.lids = [place[lid[on]] for lid, on in zip(self.lids, kept, strict=True)]
-        part.lid_least = [far[on] for far, on in zip(self.lid_least, kept, strict=True)]
-        follows = place[self.follow] >= 0
-        part.follow, part.near = place[self.follow[follows]], place[self.near[follows]]
-        part.near_weight = self.near_weight[follows]
-        part.slices = {"seam": slice(0, 0)}
-        for name in ("eye_L", "eye_R"):
-            eye = place[self.slices[name]]
-            is_here = len(eye) > 0 and eye[0] >= 0
-            part.slices[name] = slice(eye[0], eye[-1] + 1) if is_here else slice(0, 0)
-        return part
+        out[:, seam] = out[:, self._stored["weld"][seam]]
 
     @cached_property
     def _displacements(self) -> "csr_array":
@@ -595,22 +493,6 @@ class Head:
         inputs = halves @ self.motion.bind
         upper, lower = (np.clip(inputs @ profile, 0, 1) for profile in self.motion.profiles)
         return upper, lower
-
-
-def summed(pieces: Sequence[Moved]) -> Moved:
-    """The sum of movements of some vertices each."""
-    if len(pieces) == 1:
-        return pieces[0]
-    if not pieces:
-        return np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
-    every, away = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    order = np.argsort(every, kind="stable")
-    every, away = every[order], away[order]
-    is_new = np.diff(every, prepend=-1) > 0
-    if is_new.all():
-        return every, away
-    first = np.flatnonzero(is_new)
-    return every[first], np.add.reduceat(away, first)
 
 
 def seal_lips(

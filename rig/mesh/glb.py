@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Int64
+from rig.arrays import Float32, Int64
 from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
@@ -121,12 +121,13 @@ class GlbBuilder:
         """Append the array's bytes, aligned to 4; return the index of its bufferView."""
         while len(self.binary) % 4:
             self.binary.append(0)
+        data = array.tobytes()
         view: dict[str, Any] = {
-            "buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes
+            "buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)
         }  # fmt: skip
         if target is not None:
             view["target"] = target
-        self.binary.extend(np.ascontiguousarray(array).data)
+        self.binary += data
         views = self.json.setdefault("bufferViews", [])
         views.append(view)
         return len(views) - 1
@@ -245,16 +246,14 @@ def _add_mesh(
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
-    moved = shapes.moved(_STILL * mesh.size)
-    if len(used) < len(shapes.neutral.vertices):
-        place = np.full(len(shapes.neutral.vertices), -1)
-        place[used] = np.arange(len(used))
-        moved = [(place[v][place[v] >= 0], delta[place[v] >= 0]) for v, delta in moved]
-    moves, targets = np.zeros(len(used), bool), []
-    for moving, _ in moved:
-        moves[moving] = True
+    still, targets = (_STILL * mesh.size) ** 2, []
+    deltas = shapes.deltas if len(used) == shapes.deltas.shape[1] else shapes.deltas[:, used]
+    moved = [_moving(delta, still) for delta in deltas]
+    moves = np.zeros(len(used), bool)
+    moves[np.concatenate([[], *moved]).astype(np.int64)] = True
     normals = MovedNormals(mesh, moves)
-    for moving, shift in moved:
+    for delta, moving in zip(deltas, moved, strict=True):
+        shift = np.take(delta, moving, axis=0)
         turned, turn = normals.turn(moving, shift)
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(
@@ -286,6 +285,15 @@ def _add_mesh(
         {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]
     return used
+
+
+def _moving(delta: Float32, still: float) -> Int64:
+    """Vertices that move by more than the root of `still`; most of a shape are at rest."""
+    x, y, z = delta.T
+    some = np.flatnonzero((x != 0) | (y != 0) | (z != 0))
+    moves = np.take(delta, some, axis=0)
+    found: Int64 = some[np.einsum("vc,vc->v", moves, moves) > still]
+    return found
 
 
 def add_animation(

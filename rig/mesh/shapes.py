@@ -1,15 +1,14 @@
 """A neutral mesh with named shapes: the geometry of a blendshape rig."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32, Float64, Int64
+from rig.arrays import Float32, Float64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import read_npz
 from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
@@ -71,57 +70,10 @@ class ShapeSet:
         """Displacement of one shape [shape=(V, 3)] as float64."""
         return np.asarray(self.deltas[self.names.index(name)], dtype=np.float64)
 
-    def moved(self, least: float) -> list[tuple[Int64, Float32]]:
-        """Vertices (n,) that each shape moves by more than `least`, and how far (n, 3)."""
-        return [_farther(*_some(delta), least) for delta in self.deltas]
-
     def evaluate(self, weights: Any) -> Float64:
         """Vertices at `weights` [shape=(T, K)] -> [shape=(T, V, 3)]: neutral + sum of deltas."""
         flat = np.asarray(weights, np.float64) @ self.deltas.reshape(len(self.names), -1)
         return np.asarray(self.neutral.vertices + flat.reshape(len(weights), -1, 3))
-
-
-class SparseShapes(ShapeSet):
-    """Shapes of which the moved vertices alone are kept; `deltas` are made when asked for.
-
-    Parameters
-    ----------
-    neutral : TriMesh
-    names : tuple of str
-        K different names.
-    moves : sequence of (array [shape=(n,)], array [shape=(n, 3)])
-        Vertices of each shape, ascending, and their displacements.
-    """
-
-    def __init__(
-        self, neutral: TriMesh, names: tuple[str, ...], moves: Sequence[tuple[Int64, Float32]]
-    ) -> None:
-        vars(self).update(neutral=neutral, names=names, landmarks={}, _moves=tuple(moves))
-
-    @cached_property
-    def deltas(self) -> Float32:
-        """Displacement of every vertex [shape=(K, V, 3)]."""
-        deltas = np.zeros((len(self.names), *self.neutral.vertices.shape), np.float32)
-        for delta, (vertices, moves) in zip(deltas, vars(self)["_moves"], strict=True):
-            delta[vertices] = moves
-        deltas.setflags(write=False)
-        return deltas
-
-    def moved(self, least: float) -> list[tuple[Int64, Float32]]:
-        """As of a `ShapeSet`."""
-        return [_farther(vertices, moves, least) for vertices, moves in vars(self)["_moves"]]
-
-
-def _some(delta: Float32) -> tuple[Int64, Float32]:
-    """Vertices that move at all; most of a shape are at rest."""
-    x, y, z = delta.T
-    some = np.flatnonzero((x != 0) | (y != 0) | (z != 0))
-    return some, np.take(delta, some, axis=0)
-
-
-def _farther(vertices: Int64, moves: Float32, least: float) -> tuple[Int64, Float32]:
-    is_far = np.einsum("vc,vc->v", moves, moves) > least**2
-    return (vertices, moves) if is_far.all() else (vertices[is_far], moves[is_far])
 
 
 def check_shape_count(n_shapes: int, n_vertices: int) -> None:

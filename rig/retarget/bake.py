@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from rig.arrays import Float32, Float64
 from rig.controls import ControlSet
 from rig.curves import RigCurves
-from rig.face.head import Moved, summed
-from rig.mesh.shapes import ShapeSet, SparseShapes
+from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 
-Moves = Callable[[Float32], Sequence[Moved]]
-"""Control values [shape=(T, C)] to the vertices that each pose moves."""
+Evaluate = Callable[[Float32], Any]
+"""Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
 
+BATCH = 16
+"""Poses at once: little memory that is used again."""
 STILL = 1e-4
 """A shape that moves no vertex by this share of the mesh's size is not kept."""
 
@@ -64,11 +65,6 @@ class Driver:
 
     groups: tuple[tuple[Half, ...], ...]
     peak: float | None = None
-
-    @property
-    def controls(self) -> set[str]:
-        """Names of the controls that drive it."""
-        return {half.control for group in self.groups for half in group}
 
     def weight(self, values: NDArray[Any], controls: ControlSet) -> Float64:
         """Weight over time [shape=(T,), range 0 to 1]."""
@@ -129,15 +125,17 @@ class BakedRig:
         least = STILL * self.shapes.neutral.size
         moves = np.linalg.norm(self.shapes.deltas, axis=-1).max(axis=1, initial=0.0) > least
         kept = np.flatnonzero(moves)
-        shapes = ShapeSet(
-            self.shapes.neutral, tuple(self.shapes.names[k] for k in kept), self.shapes.deltas[kept]
+        shapes = replace(
+            self.shapes,
+            names=tuple(self.shapes.names[k] for k in kept),
+            deltas=self.shapes.deltas[kept],
         )
         return replace(self, shapes=shapes, drivers=tuple(self.drivers[k] for k in kept))
 
 
 def bake(
     neutral: TriMesh,
-    moves: Moves,
+    evaluate: Evaluate,
     controls: ControlSet,
     *,
     correctives: Sequence[tuple[str, Driver]] = (),
@@ -148,8 +146,8 @@ def bake(
     ----------
     neutral : TriMesh
         The rig's mesh at rest.
-    moves : callable
-        Control values [shape=(T, C)] to what each pose moves, as of `rig.face.Head.moved`.
+    evaluate : callable
+        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)].
     controls : ControlSet
         Columns of those values.
     correctives : sequence of (str, Driver)
@@ -163,19 +161,25 @@ def bake(
     wanted = [*control_halves(controls), *correctives]
     names, drivers = [name for name, _ in wanted], [driver for _, driver in wanted]
     poses = np.stack([driver.pose(controls) for driver in drivers])
-    shapes: list[tuple[str, Driver, Moved]] = []
+    rest = np.asarray(evaluate(controls.rest[None]), dtype=np.float32)[0]
+    deltas = np.empty((len(poses), *rest.shape), np.float32)
+    kept: list[int] = []
     least = STILL * neutral.size
-    for k, found in enumerate(moves(poses)):
-        if k >= len(drivers) - len(correctives):
-            on = {controls.names[i] for i in np.flatnonzero(poses[k] != controls.rest)}
-            before = [(driver, part) for _, driver, part in shapes if driver.controls <= on]
-            amounts = [driver.weight(poses[k : k + 1], controls)[0] for driver, _ in before]
-            parts = zip(amounts, (part for _, part in before), strict=True)
-            found = summed([found, *((v, np.float32(-w) * d) for w, (v, d) in parts if w)])
-        if np.linalg.norm(found[1], axis=1).max(initial=0.0) > least:
-            shapes.append((names[k], drivers[k], found))
-    kept = SparseShapes(neutral, tuple(n for n, *_ in shapes), [part for *_, part in shapes])
-    return BakedRig(kept, tuple(driver for _, driver, _ in shapes), controls)
+    for k in range(len(drivers)):
+        if k % BATCH == 0:
+            posed = np.asarray(evaluate(poses[k : k + BATCH]), dtype=np.float32)
+        delta = np.subtract(posed[k % BATCH], rest, deltas[len(kept)])
+        for place, j in enumerate(kept if k >= len(drivers) - len(correctives) else ()):
+            weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
+            if weight:
+                delta -= weight * deltas[place]
+        farthest = max(delta.max(), -delta.min())  # along an axis, without a new array
+        if farthest > least or np.linalg.norm(delta, axis=1).max() > least:
+            kept.append(k)
+    deltas = deltas[: len(kept)]
+    deltas.setflags(write=False)  # not copied again
+    shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas)
+    return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)
 
 
 def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:

@@ -262,17 +262,15 @@ def _kept(shapes: ShapeSet, notes: list[str]) -> tuple[Int64, Int64]:
 def _motion(shapes: ShapeSet) -> Arrays:
     """A shape of each half of a control, and the correctives of an embedded head."""
     poses, controls = match_shapes(shapes.names, shapes=shapes), default_controls()
-    flat, every = (
-        shapes.deltas.reshape(len(shapes.names), -1),
-        np.arange(len(shapes.neutral.vertices)),
-    )
+    flat = shapes.deltas.reshape(len(shapes.names), -1)
 
-    def moves(values: Float32) -> list[tuple[Int64, Float32]]:
+    def evaluate(values: Float32) -> Float32:
         weights = poses.weights(RigCurves(values, controls.names), linear=True).weights
-        return [(every, away) for away in (weights @ flat).reshape(len(values), -1, 3)]
+        rest = shapes.neutral.vertices.astype(np.float32)
+        return rest + (weights @ flat).reshape(len(values), -1, 3)
 
     wanted = [pair for pair in face_correctives() if pair[0] in CORRECTIVES]
-    baked = bake(shapes.neutral, moves, controls, correctives=wanted).shapes
+    baked = bake(shapes.neutral, evaluate, controls, correctives=wanted).shapes
     step = max(float(np.abs(baked.deltas).max(initial=0)) / 32700, STILL_CM / 4)
     counts, columns, values = [], [np.zeros(0, np.int64)], [np.zeros((0, 3), np.int16)]
     for delta in baked.deltas:

@@ -8,7 +8,6 @@ import numpy as np
 from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.face import build_head
-from rig.face.head import Moved
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, face_correctives
 
@@ -47,9 +46,8 @@ def source_head(identity: int = 0) -> SourceHead:
     mesh = TriMesh(head.mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
     controls = default_controls()
 
-    def moves(values: Float32) -> list[Moved]:
-        found = [(new_index[vertices], away) for vertices, away in head.moved(values)]
-        return [(places[places >= 0], away[places >= 0]) for places, away in found]
+    def evaluate(values: Float32) -> Float32:
+        return head.pose(values)[:, kept]
 
-    rig = bake(mesh, moves, controls, correctives=face_correctives())
+    rig = bake(mesh, evaluate, controls, correctives=face_correctives())
     return SourceHead(rig.shapes.neutral, head.landmarks, rig)

@@ -34,7 +34,7 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
     """
     head = build_head(identity)
     neutral = TriMesh(head.mesh.vertices, head.mesh.faces)
-    return bake(neutral, head.moved, default_controls(), correctives=face_correctives())
+    return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
 
 
 @lru_cache(maxsize=1)
@@ -45,13 +45,12 @@ def shown_controls() -> frozenset[str]:
     shown = [driver for name, driver in halves.items() if name in head.motion.names]
     # Gaze and seals have no shape of their own: whether they move a face at rest.
     others = [driver for name, driver in halves.items() if name not in head.motion.names]
+    moved = head.pose(np.stack([driver.pose(controls) for driver in others])) - head.neutral
     least = STILL * TriMesh(head.neutral, head.mesh.faces).size
-    moved = head.moved(np.stack([driver.pose(controls) for driver in others]))
-    for driver, (_, away) in zip(others, moved, strict=True):
-        if np.linalg.norm(away, axis=1).max(initial=0.0) > least:
-            shown.append(driver)
+    far = np.linalg.norm(moved, axis=-1).max(axis=1) > least
+    shown += [driver for driver, is_far in zip(others, far, strict=True) if is_far]
     shown += [driver for _, driver in face_correctives()]
-    return frozenset(name for driver in shown for name in driver.controls)
+    return frozenset(half.control for d in shown for group in d.groups for half in group)
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08

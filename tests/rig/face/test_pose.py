@@ -45,19 +45,6 @@ def test_smile_and_frown_alone_keep_the_lips_closed(head, name):
     assert head.lip_gaps(head.pose(pose_values({f"*mouth_{name}.ty": 1})[None])).max() < 0.07
 
 
-@pytest.mark.parametrize("name", PEOPLE)
-def test_moved_vertices_are_those_of_the_pose(name):
-    """Seal, lids, eyes, lashes and seam too; single controls and many at once."""
-    head = build_head(name)
-    values = np.concatenate([SHEET[:4], random_values(4, 5, share=0.2), CONTROLS.rest[None]])
-    for pose, (vertices, away) in zip(head.pose(values), head.moved(values), strict=True):
-        assert (np.diff(vertices) > 0).all()
-        moved = np.zeros_like(pose)
-        moved[vertices] = away
-        assert np.abs(moved - (pose - head.neutral)).max() < 2e-5
-    assert len(vertices) < 0.01 * len(pose)  # at rest
-
-
 def test_rest_pose_is_the_neutral_head(head):
     assert np.abs(head.pose(CONTROLS.rest) - head.mesh.vertices).max() < 1e-5
 
