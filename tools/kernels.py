@@ -38,8 +38,9 @@ _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
 _PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
 
-PROCESSOR = "skylake"
-"""For whose vectors loops are written."""
+PROCESSOR = "skylake-avx512"
+WIDE = 16
+"""For whose vectors loops are written, and how many numbers the longest have."""
 _OPTIONS: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "_nrt": False}
 kernel = njit(**_OPTIONS)
 
@@ -94,6 +95,7 @@ def draw(
     """Write a picture (H, W, 3) of faces at its samples, band by band, which stay in the cache.
 
     `nearer` (V,) is taken from the depth of vertices in clip space, of `matrix` (4, 4).
+    `to_eye` (3, 3) points to the camera from the first pixel, and runs per column and per row.
     `starts`, `listed`, `far`, `samples` of a band, `places`, `shown` and `columns` are room.
     """
     for v in range(len(table)):
@@ -111,7 +113,7 @@ def draw(
               band * len(samples), samples)  # fmt: skip
         first = band * len(samples) // 2
         for row in range(first, min(first + len(samples) // 2, len(picture))):
-            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row],
+            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye,
                    atlas, creases, pores, step[0], empty[row], places, shown, columns,
                    picture[row])  # fmt: skip
 
@@ -245,7 +247,7 @@ def _fill_face(
             continue
         # Whole vectors, those samples of which count that lie between the edges.
         left = start & ~(TILE - 1)
-        count = _whole(end - left)
+        count = _whole(end - left, TILE)
         span = samples[row - first_row, left : left + count]
         begin, stop = I4(start - left), I4(end - left)
         dx, dy = F(left) - x, F(row) - top
@@ -272,9 +274,9 @@ def _is_nearer(count: Any, span: Any, value: Any, per_x: Any, begin: Any, stop: 
 
 
 @kernel
-def _whole(count: Any) -> Any:
+def _whole(count: Any, size: Any) -> Any:
     """Numbers of the vectors that hold `count`, 1 or more, so that the compiler knows it."""
-    return ((count - 1) & 0xFFFFFF | (TILE - 1)) + 1
+    return ((count - 1) & 0xFFFFFF | (size - 1)) + 1
 
 
 @kernel
@@ -372,13 +374,13 @@ def _color(
         right = min(left + PLACES // 4, len(picture))
         count = _find(row, left, right, samples, part, step, places, shown, columns)
         if count:
-            whole = _whole(count)  # the last vector has copies
+            whole = _whole(count, WIDE)  # the last vector has copies
             for i in range(count, whole):
                 shown[i], columns[i] = shown[count - 1], columns[count - 1]
                 places[PLACES * X + i] = places[PLACES * X + count - 1]
                 places[PLACES * Y + i] = places[PLACES * Y + count - 1]
             _interpolate(whole, faces, table, kind, places, shown)
-            _paint(whole, to_eye, atlas, creases, pores, places, columns)
+            _paint(whole, row, to_eye, atlas, creases, pores, places, columns)
             _light(whole, places)
         i = 0
         for column in range(left, right):
@@ -507,7 +509,8 @@ def _byte(texel: Any, k: Any) -> Any:
 
 @kernel
 def _paint(
-    count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any, columns: Any
+    count: Any, row: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any,
+    columns: Any,
 ) -> None:  # fmt: skip
     """Put the maps, and what each kind of surface has, into the places of a row."""
     for i in range(count):
@@ -525,6 +528,10 @@ def _paint(
         places[BLUE + i] = _between(blue * kept, _DEEP[2], deep)
         places[GLOSS + i] *= F(1) - dark
         places[CREASE + i] = max(accent, F(0)) if kind == _SKIN else F(0)
+    x_eye, y_eye, z_eye = (
+        to_eye[0, 0] + F(row) * to_eye[2, 0], to_eye[0, 1] + F(row) * to_eye[2, 1],
+        to_eye[0, 2] + F(row) * to_eye[2, 2],
+    )  # fmt: skip
     has_crease, has_eye = F(0), F(0)
     for i in range(count):
         has_crease = max(has_crease, places[CREASE + i])
@@ -532,7 +539,11 @@ def _paint(
     for i in range(count):
         kind, red = places[KIND + i], places[RED + i]
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
-        vx, vy, vz = to_eye[columns[i], 0], to_eye[columns[i], 1], to_eye[columns[i], 2]
+        across = F(I4(columns[i]))
+        vx, vy, vz = _unit(
+            x_eye + across * to_eye[1, 0], y_eye + across * to_eye[1, 1],
+            z_eye + across * to_eye[1, 2],
+        )  # fmt: skip
         is_thin = (kind == _HAIR) | (kind >= _CLOTH)
         way = F(-1) if is_thin & (nx * vx + ny * vy + nz * vz < F(0)) else F(1)
         is_skin = F(1) if kind == _SKIN else F(0)
@@ -685,7 +696,9 @@ def build(name: str) -> bytes:
     """Compile one of `KERNELS` to bitcode, which any processor takes."""
     vars(config)["OPT"] = config._OptLevel(0)  # LLVM below is told that arrays do not overlap
     llvm.initialize_native_target()
-    machine = llvm.Target.from_triple("x86_64-linux").create_target_machine(PROCESSOR, opt=3)
+    machine = llvm.Target.from_triple("x86_64-linux").create_target_machine(
+        PROCESSOR, "-prefer-256-bit", opt=3
+    )
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = True
     options.loop_interleaving = False

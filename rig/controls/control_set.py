@@ -20,7 +20,6 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
@@ -391,7 +390,7 @@ class ControlSet:
 @cache
 def default_controls() -> ControlSet:
     """Return the 185 channels of the MetaHuman face board, ``metahuman-185@mh4``."""
-    with resources.files("rig.controls").joinpath("controls.csv").open(encoding="utf-8") as stream:
+    with Path(__file__).with_name("controls.csv").open(encoding="utf-8") as stream:
         return ControlSet(DEFAULT_ID, read_table(stream))
 
 

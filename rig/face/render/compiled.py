@@ -18,7 +18,7 @@ PLACES, ROWS = 512, 33
 KERNELS = {
     "normals": "f42 u42 u41 f42",
     "nearest": "f42 u42 u42 i81 i81 u41 f42 i82",
-    "draw": "f42 f42 f41 f42 f41 f42 u42 u42 i81 i81 u41 f42 i82 u11 i41 f43 u42 u42 u42 f41 f43 "
+    "draw": "f42 f42 f41 f42 f41 f42 u42 u42 i81 i81 u41 f42 i82 u11 i41 f42 u42 u42 u42 f41 f43 "
     "f41 u41 u41 u13",
 }
 """Type and dimensions of the arrays that each takes."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arrays import Float64
+from rig.arrays import Float32, Float64
 from rig.face.mesh import CLOTH, EYE, FINE, FINE_CM, HAIR, PORES, SKIN, unit
 
 # Cameras: position, target and projection.
@@ -94,12 +94,15 @@ BACKDROP, CORNERS = (0.27, 0.29, 0.315), (0.075, 0.08, 0.09)
 """Colours of the backdrop behind the head and in the corners of the picture."""
 
 
-def background(width: int, height: int) -> Float64:
+def background(width: int, height: int) -> Float32:
     """Colours (height, width, 3) sRGB, between 0 and 1."""
     y, x = (np.linspace(-1, 1, n + 1)[:-1] + 1 / n for n in (height, width))
     far = np.clip(0.75 * (x**2 + (y + 0.1)[:, None] ** 2), 0, 2) / 2
-    share = (far * (2 - far))[..., None]
-    return np.array(BACKDROP) * (1 - share) + np.array(CORNERS) * share
+    share = (far * (2 - far)).astype(np.float32)
+    found = np.empty((height, width, 3), np.float32)
+    for k, (middle, corner) in enumerate(zip(BACKDROP, CORNERS, strict=True)):
+        found[..., k] = share * (corner - middle) + middle
+    return found
 
 
 def _vec(values: Iterable[float]) -> str:

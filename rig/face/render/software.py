@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int32, Int64
-from rig.face.mesh import CLOTH, FINE, FINE_CM, HAIR, PORES, SKIN, Mesh, unit
+from rig.face.mesh import CLOTH, FINE, FINE_CM, HAIR, PORES, SKIN, Mesh
 from rig.face.render.compiled import MOST_ALPHA, PLACES, ROWS, TILE, run
 from rig.face.render.picture import Picture
 from rig.face.render.shading import FAR, NEAR, View, background
@@ -142,25 +142,17 @@ class Renderer:
         self._kind, self._part = kind[order].astype(np.uint8), _parts(mesh)[self._faces[:, 0]]
         self._nearer = 2 * self._step * np.float32(FINE_CM / STEP_CM) * (mesh.kind == FINE)
         # Of each vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
-        blank = np.zeros((len(mesh.vertices), 3))
-        columns = [
-            blank,
-            mesh.uv.clip(0, 1),
-            blank,
-            mesh.colors,
-            mesh.gloss,
-            mesh.light,
-            blank[:, :2],
-        ]
-        self._table = np.column_stack(columns).astype(np.float32)
-        # Unit vectors (height, width, 3) from what each pixel shows towards the camera.
+        self._table = np.zeros((len(mesh.vertices), 15), np.float32)
+        self._table[:, 3:5] = mesh.uv.clip(0, 1)
+        self._table[:, 8:11], self._table[:, 11] = mesh.colors, mesh.gloss
+        self._table[:, 12:14] = mesh.light
+        # Towards the camera from what the first pixel shows, and how it runs per column and row.
         back = np.linalg.inv(matrix)
         back /= back[3, 2:].sum()
-        x, y = (2 * np.arange(width) + 1) / width - 1, 1 - (2 * np.arange(height) + 1) / height
-        right, up, far = x[:, None] * back[:3, 0], y[:, None] * back[:3, 1], back[:3, 2:].sum(1)
-        away = (view.position - far - up).astype(np.float32)[:, None] - right.astype(np.float32)
-        self._to_eye = unit(away)
-        self._empty = background(width, height).astype(np.float32)
+        x, y, far = back[:3, 0] / width, -back[:3, 1] / height, back[:3, 2:].sum(1)
+        first = view.position - far - (1 - width) * x - (1 - height) * y
+        self._to_eye = np.array([first, -2 * x, -2 * y], np.float32)
+        self._empty = background(width, height)
         self._room = _room(2 * width, 2 * height, BAND, len(self._faces))
         self._places = (np.zeros(ROWS * PLACES, np.float32), np.zeros(PLACES, np.uint32),
                         np.zeros(PLACES, np.uint32))  # fmt: skip
@@ -234,16 +226,15 @@ def _parts(mesh: Mesh) -> Int32:
     """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
     is_hair = np.isin(mesh.kind, (HAIR, FINE))
     label = mesh.weld.astype(np.int32)
-    corners = mesh.faces[~is_hair[mesh.faces[:, 0]]].T
-    while True:
-        names = label[corners]
-        apart = (names != names[0]).any(0)
-        if not apart.any():
-            break
-        corners, names = corners[:, apart], names[:, apart]
-        np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
-        while not np.array_equal(label, label[label]):
-            label = label[label]
+    corners = label[mesh.faces[~is_hair[mesh.faces[:, 0]]]].T
+    one, other = np.tile(corners[0], 2), corners[1:].ravel()
+    while len(one):  # an edge gives the larger of the names at its ends the smaller one
+        np.minimum.at(label, np.maximum(one, other), np.minimum(one, other))
+        while not np.array_equal(label, further := label[label]):
+            label = further
+        one, other = label[one], label[other]
+        apart = one != other
+        one, other = one[apart], other[apart]
     return np.where(is_hair, np.int32(-1), label[mesh.weld])
 
 
