@@ -13,7 +13,7 @@ from rig.face.mesh import CLOTH, EYE, HAIR
 from rig.face.render.picture import png
 from rig.mesh.glb import Surface
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import STILL, BakedRig, bake, control_halves, face_correctives
+from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -40,17 +40,13 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
 @lru_cache(maxsize=1)
 def shown_controls() -> frozenset[str]:
     """Return the controls that a shape or corrective of the embedded heads shows."""
-    controls, head = default_controls(), build_head(0)
-    halves = dict(control_halves(controls))
-    shown = [driver for name, driver in halves.items() if name in head.motion.names]
-    # Gaze and seals have no shape of their own: whether they move a face at rest.
-    others = [driver for name, driver in halves.items() if name not in head.motion.names]
-    moved = head.pose(np.stack([driver.pose(controls) for driver in others])) - head.neutral
-    least = STILL * TriMesh(head.neutral, head.mesh.faces).size
-    far = np.linalg.norm(moved, axis=-1).max(axis=1) > least
-    shown += [driver for driver, is_far in zip(others, far, strict=True) if is_far]
-    shown += [driver for _, driver in face_correctives()]
-    return frozenset(half.control for d in shown for group in d.groups for half in group)
+    controls, motion = default_controls(), build_head(0).motion
+    halves = [*controls.names, *(f"{name}_negative" for name in controls.names), ""]
+    sealing = [name for name, row in zip(halves, motion.bind, strict=True) if row.any()]
+    shown = {*motion.names, *sealing, "CTRL_C_eye_parallelLook.ty"}
+    drivers = [driver for name, driver in control_halves(controls) if name in shown]
+    drivers += [driver for _, driver in face_correctives()]
+    return frozenset(half.control for d in drivers for group in d.groups for half in group)
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08
