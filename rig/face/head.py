@@ -462,12 +462,12 @@ class Head:
                 few = slice(start, start + FEW)
                 out[few] += (weights[few, used] @ table).reshape(-1, *out.shape[1:])
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
-            away = out[:, ids] - eye[:3].astype(np.float32)
+            away = np.take(out, ids, axis=1) - eye[:3].astype(np.float32)
             far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
             frame, n = np.nonzero(far < least)
             out[frame, ids[n]] += away[frame, n] * (least[n] / far[frame, n] - 1)[:, None]
         seal_lips(out, motion.lips, self._sealed(halves), motion.fade)
-        shift = out[:, self.near] - self._rest[self.near]
+        shift = np.take(out, self.near, axis=1) - self._rest[self.near]
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
         pitch, yaw = gaze_degrees(frames, self.convergence)
         for place, side in enumerate("LR"):
@@ -511,7 +511,7 @@ def seal_lips(
     fade : array [shape=(P,)]
         Share of all this at each column.
     """
-    columns = [lip.weight @ out[:, lip.rim] for lip in lips]
+    columns = [lip.weight @ np.take(out, lip.rim, axis=1) for lip in lips]
     moves = [np.zeros_like(column) for column in columns]
     first, last = FINISH
     finished = [smoothstep((s - first) / (last - first)) for s in sealed]

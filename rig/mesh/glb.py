@@ -289,8 +289,8 @@ def _add_mesh(
 
 def _moving(delta: Float32, still: float) -> Int64:
     """Vertices that move by more than the root of `still`; most of a shape are at rest."""
-    x, y, z = delta.T
-    some = np.flatnonzero((x != 0) | (y != 0) | (z != 0))
+    some = np.flatnonzero(delta.reshape(-1) != 0) // 3
+    some = some[np.diff(some, prepend=-1) > 0]
     moves = np.take(delta, some, axis=0)
     found: Int64 = some[np.einsum("vc,vc->v", moves, moves) > still]
     return found

@@ -164,14 +164,14 @@ def bake(
     rest = np.asarray(evaluate(controls.rest[None]), dtype=np.float32)[0]
     deltas = np.empty((len(poses), *rest.shape), np.float32)
     kept: list[int] = []
-    least = STILL * neutral.size
+    least, first = STILL * neutral.size, len(drivers) - len(correctives)
+    amounts = [driver.weight(poses[first:], controls) for driver in drivers]
     for k in range(len(drivers)):
         if k % BATCH == 0:
             posed = np.asarray(evaluate(poses[k : k + BATCH]), dtype=np.float32)
         delta = np.subtract(posed[k % BATCH], rest, deltas[len(kept)])
-        for place, j in enumerate(kept if k >= len(drivers) - len(correctives) else ()):
-            weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
-            if weight:
+        for place, j in enumerate(kept if k >= first else ()):
+            if weight := float(amounts[j][k - first]):
                 delta -= weight * deltas[place]
         farthest = max(delta.max(), -delta.min())  # along an axis, without a new array
         if farthest > least or np.linalg.norm(delta, axis=1).max() > least:
