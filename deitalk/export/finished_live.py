@@ -68,10 +68,10 @@ class FinishedLive(nn.Module):
         self.before = WINDOW // 2
         # Samples of a call of which frames are measured, and those of their spectra, where the
         # first frame is 3 n, 3 n + 1 or 3 n + 2.
-        first, number = np.arange(3)[:, None], np.arange(n_frames)
-        begin = first * SAMPLE_RATE // FRAME_RATE - self.before
-        windows = (first + number) * SAMPLE_RATE // FRAME_RATE - self.before - begin
-        spectra = first * grid.spectra + np.arange(n_frames * grid.spectra) - grid.lead
+        phase, number = np.arange(3)[:, None], np.arange(n_frames)
+        begin = phase * SAMPLE_RATE // FRAME_RATE - self.before
+        windows = (phase + number) * SAMPLE_RATE // FRAME_RATE - self.before - begin
+        spectra = phase * grid.spectra + np.arange(n_frames * grid.spectra) - grid.lead
         centres = np.round(spectra * SAMPLE_RATE / grid.rate).astype(np.int64)
         starts = centres - grid.length // 2 - begin
         self.window = max(int(windows.max()) + WINDOW, int(starts.max()) + grid.length)
