@@ -1,6 +1,7 @@
-"""Next frame of live voices to finished curves: a frame a call, all state in one tensor.
+"""Next frames of live voices to finished curves, all state in one tensor.
 
-Letters: B streams, S samples, A actors, C controls, N numbers of the state.
+Letters: B streams, G frames of a call, S samples, P spectra of a frame, A actors, C controls,
+N numbers of the state. A call of one frame has no axis of frames.
 """
 
 import math
@@ -36,39 +37,46 @@ WRAP = 720
 
 
 class FinishedLive(nn.Module):
-    """The next frame of streams to finished curves.
+    """The next frames of streams to finished curves.
 
     Parameters
     ----------
     model : DEITalk
         With a causal frontend.
+    n_frames : int
+        Frames of a call: a divisor of the frames that the network looks ahead.
 
     Attributes
     ----------
     window : int
-        Samples of a call, from `before` ahead of the time of the frame that is measured on.
+        Samples of a call, from `before` ahead of the time of its first frame on.
     behind : int
-        Frames by which the curves are behind it.
+        Frames by which the curves are behind the frames that are measured.
     """
 
-    offsets: Tensor
+    measured: Tensor
+    heard: Tensor
 
-    def __init__(self, model: DEITalk) -> None:
+    def __init__(self, model: DEITalk, n_frames: int = 1) -> None:
         super().__init__()
+        self.n_frames = n_frames
         self.model, grid = causal_graph(model), grid_of(model)
         self.delay, self.behind = grid.delay, grid.delay + grid.rules_ahead
         self.levels, self.prosody = BandLevels(), WindowProsody()
         self.analysis = VoiceAnalysis(model.rules, grid)
         self.rules = CurvePass(model.controls, model.rules, grid.rules_ahead)
         self.before = WINDOW // 2
-        # Samples of the spectra in a window, of the frames 3 n, 3 n + 1 and 3 n + 2.
-        frames = np.arange(3)[:, None]
-        centres = np.round(
-            (frames * grid.spectra + np.arange(grid.spectra) - grid.lead) * SAMPLE_RATE / grid.rate
-        )
-        starts = centres - frames * SAMPLE_RATE // FRAME_RATE + self.before - grid.length // 2
-        self.window = max(WINDOW, int(starts.max()) + grid.length)
-        constant(self, "offsets", starts.astype(np.int64))
+        # Samples of a call of which frames are measured, and those of their spectra, where the
+        # first frame is 3 n, 3 n + 1 or 3 n + 2.
+        phase, number = np.arange(3)[:, None], np.arange(n_frames)
+        begin = phase * SAMPLE_RATE // FRAME_RATE - self.before
+        windows = (phase + number) * SAMPLE_RATE // FRAME_RATE - self.before - begin
+        spectra = phase * grid.spectra + np.arange(n_frames * grid.spectra) - grid.lead
+        centres = np.round(spectra * SAMPLE_RATE / grid.rate).astype(np.int64)
+        starts = centres - grid.length // 2 - begin
+        self.window = max(int(windows.max()) + WINDOW, int(starts.max()) + grid.length)
+        constant(self, "measured", windows)
+        constant(self, "heard", starts)
         constant(self, "trained", MIXTURES)
         first, self.shape = tree.tree_flatten(self.first_states(1))
         self.sizes = [part.shape[1:] for part in first]
@@ -107,53 +115,56 @@ class FinishedLive(nn.Module):
         motion: Tensor,
         state: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Take the sound of a frame, and finish the one `behind` it.
+        """Take the sound of frames, and finish those `behind` them.
 
         Parameters
         ----------
         sound : Tensor [shape=(B, window)]
             16 kHz, any level.
-        emotion : Tensor [shape=(B, 9 + A)]
-            Weights of the emotions, then of the actors, of the frame `delay` before.
+        emotion : Tensor [shape=(B, G, 9 + A)]
+            Weights of the emotions, then of the actors, of the frames `delay` before.
         intensity : Tensor [shape=(B, 2)]
-            Of the same frame: factor on the intensity of the voice, and share of the expression
+            Of the same frames: factor on the intensity of the voice, and share of the expression
             that stays in silence.
-        variants : Tensor [shape=(B, V + 1)]
-            Of the same frame, as for a recording.
-        motion : Tensor [shape=(B, M)]
-            `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
+        variants : Tensor [shape=(B, G, V + 1)]
+            Of the same frames, as for a recording.
+        motion : Tensor [shape=(B, G, M)]
+            `deitalk.postprocess.tracks.MotionTracks` of the frames that come out; zeros: none.
         state : Tensor [shape=(B, N)]
             Of the call before; zeros before the first.
 
         Returns
         -------
-        curves : Tensor [shape=(B, C)]
-        intensity : Tensor [shape=(B,)]
-            Of the voice, of the frame `delay` before.
+        curves : Tensor [shape=(B, G, C)]
+        intensity : Tensor [shape=(B, G)]
+            Of the voice, of the frames `delay` before.
         state : Tensor [shape=(B, N)]
         """
+        emotion, variants, motion = (
+            part.reshape(-1, self.n_frames, part.shape[-1]) for part in (emotion, variants, motion)
+        )
         parts = torch.split(state, [math.prod(size) for size in self.sizes], dim=1)
         old = [self._begun(k, part, state[:, :1] > 0) for k, part in enumerate(parts)]
         shaped = [part.reshape(-1, *size) for part, size in zip(old, self.sizes, strict=True)]
         frame, network, analysed, rules = tree.tree_unflatten(shaped, self.shape)
-        # The network: two readings of the frame `delay` before.
-        labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
-        styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=1)
+        phase = torch.remainder(frame[:, 0], 3).long()
+        # The network: two readings of the frames `delay` before.
+        labels, actors = emotion[..., : len(LABELS)], emotion[..., len(LABELS) :]
+        styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=2)
         before = TensorState.of(network, self.model)
-        rows, next_network = advance(
-            self.model, self._spectra(sound, frame), styles[:, None], before
-        )
-        # Measures of its voice.
+        spectra = _windows(sound, self.heard[phase], N_FFT)
+        rows, next_network = advance(self.model, spectra, styles, before)
+        # Measures of their voice.
         begun = frame >= self.delay
         factor, rest = intensity.unbind(1)
         rest = torch.where(begun[:, 0], rest, torch.zeros_like(rest))
-        window = sound[:, :WINDOW]
-        measured = FrameMeasures.of_rows(self.levels(window), self.prosody(window), 1)
+        windows = _windows(sound, self.measured[phase], WINDOW).flatten(0, 1)
+        measured = FrameMeasures.of_rows(self.levels(windows), self.prosody(windows), self.n_frames)
         found, measures = self.analysis(measured, rows.strength, rows.effort, rest, analysed)
-        held, scale, rule = rows.strength, factor[:, None], self.model.rules.voice_intensity
-        labels = labels[:, None]
+        factor = factor[:, None].expand(-1, self.n_frames)
+        held, scale, rule = rows.strength, factor, self.model.rules.voice_intensity
         if rule is not None:
-            applied = felt_intensity(found.intensity, labels, rule) * factor[:, None]
+            applied = felt_intensity(found.intensity, labels, rule) * factor
             held = held_intensity(
                 self.model.rules.expressions,
                 self.model.controls,
@@ -164,18 +175,18 @@ class FinishedLive(nn.Module):
             )
             scale = expression_scale(applied, held)
         phones, (back, kept, _) = torch.zeros_like(labels[..., :4]), found.held
-        ways, side = variants[:, None, :-1], variants[:, None, -1]
+        ways, side = variants[..., :-1], variants[..., -1]
         voice = VoiceTracks(
             scale, found.opening, held, phones, labels, back, kept, ways, side
         ).columns()
         # The rules.
-        gates = torch.cat((found.mouth, found.expression), dim=1)
-        shown = torch.cat((gates, motion), dim=1)[:, None]
-        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(factor)
+        gates = torch.stack((found.mouth, found.expression), dim=2)
+        shown = torch.cat((gates, motion), dim=2)
+        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(rest)
         curves, _, _, finished = self.rules(
             rows.neutral, rows.emotional, voice, shown, gain, ruled, rules
         )
-        frame = frame + 1
+        frame = frame + self.n_frames
         frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
         carried = frame, tuple(next_network.tensors()), measures, finished
         new = [
@@ -196,7 +207,9 @@ class FinishedLive(nn.Module):
             if waits:
                 block = torch.where(begun, block, torch.cat(old[first:stop], dim=1))
             blocks.append(block)
-        return curves[:, 0], found.intensity[:, 0], torch.cat(blocks, dim=1)
+        is_one = self.n_frames == 1
+        given = [part[:, 0] if is_one else part for part in (curves, found.intensity)]
+        return given[0], given[1], torch.cat(blocks, dim=1)
 
     def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:
         """A part of the state (B, ...), with its first value where no frame has come."""
@@ -204,9 +217,8 @@ class FinishedLive(nn.Module):
             return part
         return torch.where(has_begun, part, cast(Tensor, getattr(self, f"begin_{number}")))
 
-    def _spectra(self, sound: Tensor, frame: Tensor) -> Tensor:
-        """Samples of the spectra of the frame (B, P, 400)."""
-        starts = self.offsets[torch.remainder(frame[:, 0], 3).long()]
-        places = starts[:, :, None] + torch.arange(N_FFT)
-        rows = torch.gather(sound, 1, places.flatten(1))
-        return rows.view(-1, starts.shape[1], N_FFT)
+
+def _windows(sound: Tensor, starts: Tensor, length: int) -> Tensor:
+    """Samples (B, K, W) of the streams' sound (B, S) from each of the starts (B, K) on."""
+    places = starts[:, :, None] + torch.arange(length)
+    return torch.gather(sound, 1, places.flatten(1)).view(-1, starts.shape[1], length)

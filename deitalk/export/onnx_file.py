@@ -30,7 +30,9 @@ SMALLEST = 4096
 """Numbers of a weight that is stored with less precision."""
 
 
-def export_onnx(model: DEITalk, path: Path, *, name: str = "", precision: str = "float32") -> None:
+def export_onnx(
+    model: DEITalk, path: Path, *, name: str = "", precision: str = "float32", n_frames: int = 1
+) -> None:
     """Write a model as an ONNX file that gives finished curves; see docs/onnx.md.
 
     Parameters
@@ -44,6 +46,8 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "", precision: str = 
     precision : str
         Of the weights in the file: ``float32``, or ``float16`` with half the size, in which the
         embedded models are kept. Curves are computed in float32.
+    n_frames : int
+        Frames of a run of a causal model; see `deitalk.export.finished_live.FinishedLive`.
 
     Raises
     ------
@@ -57,7 +61,7 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "", precision: str = 
             f"precision {quoted(precision)} is unknown; use {', '.join(PRECISIONS)}"
         )
     model = model.cpu()
-    content, texts = _live(model) if model.is_causal else _clip(model)
+    content, texts = _live(model, n_frames) if model.is_causal else _clip(model)
     _store(content.graph, precision)
     for key, value in (metadata(model, name) | texts).items():
         content.metadata_props.add(key=key, value=value)
@@ -109,21 +113,23 @@ def _clip(model: DEITalk) -> tuple[Any, dict[str, str]]:
     return content, {"schema": CLIP_SCHEMA}
 
 
-def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
-    """Graph of the next frame of streams, and its metadata."""
-    graph, batch = FinishedLive(model), 2
+def _live(model: DEITalk, n_frames: int) -> tuple[Any, dict[str, str]]:
+    """Graph of the next frames of streams, and its metadata."""
+    graph, batch = FinishedLive(model, n_frames), 2
+    rows = (batch,) if n_frames == 1 else (batch, n_frames)
     example = (
         torch.zeros(batch, graph.window),
-        torch.full((batch, len(LABELS) + len(model.actors)), 0.1),
+        torch.full((*rows, len(LABELS) + len(model.actors)), 0.1),
         torch.ones(batch, 2),
-        torch.zeros(batch, N_VARIANTS + 1),
-        torch.zeros(batch, N_MOTION),
+        torch.zeros(*rows, N_VARIANTS + 1),
+        torch.zeros(*rows, N_MOTION),
         graph.first(batch),
     )
     inputs, outputs = (*CLIP_INPUTS, STATE), (*LIVE_OUTPUTS, NEXT_STATE)
     axes: Axes = {name: {0: "B"} for name in (*inputs, *outputs)}
     content = traced(graph, example, inputs, outputs, axes)
     numbers = {
+        "frames": n_frames,
         "window": graph.window,
         "before": graph.before,
         "delay": graph.delay,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional as F
 
 from deitalk import animate
 from deitalk.audio.frames import frame_count
@@ -254,6 +255,38 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
             session.run(None, dict(zip(names, arrays, strict=True))), expected, strict=True
         ):
             np.testing.assert_allclose(ours, theirs.numpy(), atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_some_frames_a_call_are_those_of_one_a_call(name):
+    """As many as the network looks ahead, of two streams; emotion and motion of each frame."""
+    each = FinishedLive(load_model(name)).eval()
+    some = FinishedLive(load_model(name), each.delay).eval()
+    total, sound = 18, torch.from_numpy(recorded("promise")[8_000:24_000].copy())
+    sounds = F.pad(torch.stack((sound, 0.3 * sound)), (each.before, 0))
+    rng = np.random.default_rng(3)
+    given = [
+        torch.from_numpy(values.astype(np.float32))
+        for values in (
+            rng.dirichlet(np.ones(len(LABELS)), (2, total)),
+            rng.uniform(0, 0.2, (2, total, N_VARIANTS + 1)),
+            rng.uniform(0, 1, (2, total, N_MOTION)),
+        )
+    ]
+
+    def curves(module, count):
+        state, found = module.first(2), []
+        for frame in range(0, total, count):
+            start, now = frame * 16_000 // 30, frame if count == 1 else slice(frame, frame + count)
+            emotion, variants, motion = (values[:, now] for values in given)
+            window = sounds[:, start : start + module.window]
+            factors = torch.tensor([[1.0, REST], [0.7, 1.0]])
+            rows, _, state = module(window, emotion, factors, variants, motion, state)
+            found.append(rows.view(2, count, -1))
+        return torch.cat(found, dim=1)[:, each.behind :]
+
+    with torch.no_grad():
+        np.testing.assert_allclose(curves(some, each.delay), curves(each, 1), atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("name", ["default", *LIVE])

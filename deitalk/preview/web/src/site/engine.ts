@@ -12,8 +12,8 @@ export interface Facts {
   /** Of each raw curve of a MetaHuman: its control, and places and values of its knots. */
   raw: { name: string; control: string; rest: number; places: number[]; values: number[] }[];
   subject: string[];
-  /** Of the model of live voices, if the folder has one: samples of a run from `before` ahead of its frame on, and frames by which what is given is behind. */
-  live?: { window: number; before: number; delay: number; behind: number; state: number; actors: number };
+  /** Of the model of live voices, if the folder has one: frames of a run, its samples from `before` ahead of its first frame on, and frames by which what is given is behind. */
+  live?: { frames: number; window: number; before: number; delay: number; behind: number; state: number; actors: number };
 }
 
 export interface Finished {
@@ -61,16 +61,17 @@ export class Engine {
     return this.run("model", inputs);
   }
 
-  /** Take the sound of the next frame of a live voice; its state, which is new where the voice `begins`, stays in the worker. */
+  /** Take the sound of the next frames of a live voice, and their emotions; its state, which is new where the voice `begins`, stays in the worker. */
   async next(sound: Float32Array, emotion: Float32Array, begins: boolean): Promise<Float32Array> {
-    const { facts } = this, { state } = facts.live!;
+    const { facts } = this, { frames, state } = facts.live!;
     const row = (data: Float32Array) => ({ data, dims: [1, data.length] });
+    const rows = (data: Float32Array) => ({ data, dims: [1, frames, data.length / frames] });
     const inputs: Inputs = {
       sound: row(sound),
-      emotion: row(emotion),
+      emotion: rows(emotion),
       intensity: row(Float32Array.of(1, facts.rest)),
-      variants: row(new Float32Array(facts.variants)),
-      motion: row(new Float32Array(facts.motion)),
+      variants: rows(new Float32Array(frames * facts.variants)),
+      motion: rows(new Float32Array(frames * facts.motion)),
     };
     if (begins) inputs.state = row(new Float32Array(state));
     return (await this.run("live", inputs)).curves;

@@ -2,7 +2,7 @@
 
 import { type EmotionKey, NO_EDIT } from "../data/edit";
 import { Take } from "../data/take";
-import { $, button, save } from "../dom";
+import { $, button, messageOf, notice, save } from "../dom";
 import type { Player } from "../player";
 import { Live } from "../studio/live";
 import { bindMicrophone } from "../studio/microphone";
@@ -14,6 +14,8 @@ import { csvOf, jsonOf, liveLinkOf } from "./files";
 import { EngineVoice } from "./voice";
 
 const FIRST = "happy", SETTLE_MS = 350;
+/** Silence that is animated when the page opens: the browser compiles the model's operators by then. */
+const WARM_SECONDS = 2;
 
 export class Site {
   readonly engine: Engine;
@@ -25,9 +27,12 @@ export class Site {
   private settling = 0;
   /** Seconds of the last run. */
   took = 0;
+  /** Whether the model is read and its operators are compiled. */
+  isWarm = false;
 
   constructor(private readonly player: Player, readonly facts: Facts) {
     this.engine = new Engine(facts);
+    void this.warmUp();
     document.body.classList.add("studio", "site");
     player.workbench!.emotion.isEditable = true;
     player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: FIRST, strength: 1 }] });
@@ -45,6 +50,16 @@ export class Site {
     ];
     $("exports").append(...kinds.map(([label, end, text]) => button(label, () => this.save(text, end))));
     this.enable();
+  }
+
+  private async warmUp(): Promise<void> {
+    const silence = new Float32Array(WARM_SECONDS * RATE), frames = frameCount(silence.length);
+    try {
+      await this.engine.animate(silence, new Float32Array(frames * this.facts.emotions.length));
+      this.isWarm = true;
+    } catch (error) {
+      notice(messageOf(error));
+    }
   }
 
   /** Animate a recording, and play it. */

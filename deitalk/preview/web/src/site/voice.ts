@@ -13,8 +13,8 @@ export class EngineVoice implements Voice {
   /** The last samples, and the number of the first of them. */
   private samples = new Float32Array(0);
   private begin = 0;
-  /** Runs of the model so far. */
-  private runs = 0;
+  /** Frames that the model has taken so far. */
+  private taken = 0;
   private isBusy = false;
   private isStopped = false;
   /** Emotion before and after the last change, and its time in the sound. */
@@ -29,7 +29,7 @@ export class EngineVoice implements Voice {
   /** Read the model by a run of silence; no sound is taken before. */
   private async begun(): Promise<void> {
     try {
-      await this.engine.next(new Float32Array(this.engine.facts.live!.window), this.change.to, true);
+      await this.engine.next(new Float32Array(this.engine.facts.live!.window), this.emotions(), true);
       this.listener.ready();
     } catch (error) {
       this.fail(error);
@@ -43,7 +43,7 @@ export class EngineVoice implements Voice {
   }
 
   feed(samples: Float32Array): void {
-    if (this.heard - (this.runs * RATE) / FPS > MOST_WAITING * RATE) {
+    if (this.heard - (this.taken * RATE) / FPS > MOST_WAITING * RATE) {
       notice("this machine is too slow for live: sound is skipped");
       return;
     }
@@ -68,21 +68,20 @@ export class EngineVoice implements Voice {
     return this.begin + this.samples.length;
   }
 
-  /** Run the model on the sound that has come, a frame a run. */
+  /** Run the model on the sound that has come, a few frames a run. */
   private async advance(): Promise<void> {
     this.isBusy = true;
     try {
-      const { window, before, delay, behind } = this.engine.facts.live!;
+      const { frames, window, before, behind } = this.engine.facts.live!;
       for (;;) {
-        const first = Math.floor((this.runs * RATE) / FPS) - before;
+        const first = Math.floor((this.taken * RATE) / FPS) - before;
         if (this.isStopped || first + window > this.heard) break;
         const sound = new Float32Array(window), skipped = Math.max(first, 0);
         sound.set(this.samples.subarray(skipped - this.begin, first + window - this.begin), skipped - first);
-        const emotion = this.emotionAt(Math.max(this.runs - delay, 0) / FPS);
-        const values = await this.engine.next(sound, emotion, this.runs === 0);
-        const frame = this.runs++ - behind;
-        if (frame >= 0 && !this.isStopped) {
-          this.listener.frame({ time: frame / FPS, late: (this.heard / RATE) - (frame + 1) / FPS, values });
+        const curves = await this.engine.next(sound, this.emotions(), this.taken === 0), width = curves.length / frames;
+        for (let k = 0; k < frames && !this.isStopped; k++) {
+          const frame = this.taken++ - behind, values = curves.subarray(k * width, (k + 1) * width);
+          if (frame >= 0) this.listener.frame({ time: frame / FPS, late: this.heard / RATE - (frame + 1) / FPS, values });
         }
         if (skipped - this.begin > RATE) {
           this.samples = this.samples.slice(skipped - this.begin);
@@ -99,6 +98,13 @@ export class EngineVoice implements Voice {
   private row(emotion: string): Float32Array {
     const { emotions, live } = this.engine.facts;
     return Float32Array.from({ length: emotions.length + live!.actors }, (_, k) => Number(emotions[k] === emotion));
+  }
+
+  /** Emotions of the frames that the next run reads, one after the other. */
+  private emotions(): Float32Array {
+    const { frames, delay } = this.engine.facts.live!, width = this.change.to.length, rows = new Float32Array(frames * width);
+    for (let k = 0; k < frames; k++) rows.set(this.emotionAt(Math.max(this.taken + k - delay, 0) / FPS), k * width);
+    return rows;
   }
 
   private emotionAt(seconds: number): Float32Array {
