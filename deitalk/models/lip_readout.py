@@ -64,7 +64,7 @@ them: less than the tongue needs to come out, because TH is heard as F in part."
 VOICE = (0.3, 0.6)
 """Reading of the voice up to which the mouth does not move, and from which it moves as it does."""
 SHOWN = {
-    "out": ("tongue_inOut", -0.65, 1.0),
+    "out": ("tongue_inOut", -0.42, 1.0),
     "tip": ("tongue_tipMove.ty", 0.75, 0.0),
     "funnel": ("mouth_funnel", 0.75, 0.0),
     "purse": ("mouth_purse", 0.45, 0.5),
@@ -73,8 +73,6 @@ SHOWN = {
 that is added."""
 MEASURED = ("_mouth_", "_jaw")
 """Parts of the names of the controls that show or change a measure."""
-FLAT = 0.5
-"""Width of a tongue that is out, as a control's value."""
 PURSED_FUNNEL = 0.35
 """Funnel of pursed lips."""
 
@@ -156,7 +154,6 @@ class LipReadout(nn.Module):
             "opens": opens / np.maximum(opens.sum(), 1),
             "speaks": of(*OPENING, *SPEAKING).max(axis=0),
         }
-        tables["values"][0] += FLAT * of("tongue_wideNarrow")[0]
         for name, table in tables.items():
             self.register_buffer(name, torch.tensor(table), persistent=False)
 

@@ -68,7 +68,7 @@ class Stages(ControlGroups):
     def meet_phones(self, curves, phones):
         tracks = torch.from_numpy(phone_tracks(phones, len(curves)))[None, :, None, None]
         contacts = torch.from_numpy(curves[None, :, None, self.seals, None])
-        near = Near(contacts, contacts, tracks[..., 0:1], tracks[..., 1:2])
+        near = Near(contacts, contacts, tracks[..., 0:1], tracks[..., 1:2], contacts)
         met = self.rules.meet_phones.close(contacts, near)[..., 0]
         rows = self.rules.seals.put(both(curves, curves)[:, :, :1], met)
         added = self.rules.closure(met) - self.rules.closure(contacts[..., 0])
