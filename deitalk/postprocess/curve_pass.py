@@ -122,11 +122,11 @@ class CurvePass(nn.Module):
         self.behind = PEAK_FRAMES // 2 + slowed
         self.ahead = self.behind if ahead is None else min(ahead, self.behind)
         window, self.size = (self.behind, self.ahead), count
-        both = [[*places, *(places + count)] for places in (groups.seals, groups.tongue)]
-        # scale, closed and bitten follow both readings
+        seals, tongue = ([*k, *(k + count)] for k in (groups.seals, groups.tongue))
         self.unseen = max(POSE_FRAMES - self.behind - self.ahead, 0)
         self.hold = Hold(rules.hold_pose, groups)
-        self.around = Around(*both, [2 * count + k for k in (0, 3, 4)], *window)
+        # scale, closed and bitten follow both readings
+        self.around = Around(seals, tongue, [2 * count + k for k in (0, 3, 4)], *window)
         self.sharpen = Sharpen(rules.sharpen_contacts)
         self.closure = Closure(rules.keep_contacts, groups)
         self.seals = Columns(groups.seals, count)

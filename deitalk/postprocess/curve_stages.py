@@ -443,7 +443,8 @@ class TongueOut(nn.Module):
         shown = self.limit(lasting) * free.unsqueeze(-1)
         curves = self.tongue.put(curves, self.tongue(curves).clamp_min(0) - shown)
         down = (shown.amax(dim=-1, keepdim=True) / TIP_DOWN).clamp_max(1)
-        return curves * (1 - down * self.tip.mask)
+        lowered: Tensor = curves * (1 - down * self.tip.mask)
+        return lowered
 
 
 class QuietLips(nn.Module):

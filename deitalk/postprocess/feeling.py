@@ -149,7 +149,8 @@ def felt_intensity(voice: Any, weights: Any, rule: VoiceIntensity) -> Any:
         State per decibel.
     """
     more = weights @ like(np.exp(rule.per_decibel * NAMED_DB) - 1, weights)
-    return (weights @ like(NAMED_MOST, weights)) * (1 + more) * voice / (MOST + more * voice)
+    most = MOST + weights @ like(NAMED_MOST - MOST, weights)
+    return most * (1 + more) * voice / (MOST + more * voice)
 
 
 def state_of_intensity(intensity: Any) -> Any:

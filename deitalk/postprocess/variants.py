@@ -88,7 +88,8 @@ def choose_ways(
     state : float or array [shape=(T,)], optional
         Of the voice (`feeling.state_of_intensity`); None: not known, neither strong nor weak.
     """
-    weights = np.zeros((*np.shape(state), len(COLUMNS)), np.float32)
+    states = None if state is None else np.asarray(state)
+    weights = np.zeros((*(() if states is None else states.shape), len(COLUMNS)), np.float32)
     side = math.copysign(1.0, traits.side)
     if PLAIN in given:
         return Ways(weights, side, np.ones(len(HABITS), np.float32))
@@ -97,7 +98,7 @@ def choose_ways(
     spread = SPREAD * (traits.own or float(seed != 0))
     for emotion, own in VARIANTS.items():
         usual = USUAL_STATE - QUIETER.get(emotion, 0.0)
-        above = np.asarray(usual if state is None else state) - usual
+        above = np.zeros(()) if states is None else states - usual
         strength = np.where(above > 0, HOME, WEAK_HOME) * np.tanh(STEEPNESS * above)
         homes = strength[..., None] * np.array([*own.values()])
         drawn = np.exp(spread * rng.standard_normal(len(own)) + homes)

@@ -58,7 +58,7 @@ ACCENTS: dict[str, tuple[float, ...]] = {
 """Motion of `STEMS` for a full accent in an emotion; 0 in the neutral reading, see `GESTURES`."""
 HELD: dict[str, tuple[float, ...]] = {
     "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.0, 0.0, 0.0),
-    "happy": (0.0, 0.0, 0.0, 0.0, 0.0, 0.08, 0.0, 0.0, 0.0),
+    "happy": (0.0, 0.0, 0.0, 0.0, 0.0, 0.12, 0.0, 0.0, 0.0),
 }
 """What an emotion holds of `STEMS` besides the network's expression, also between the accents:
 lower lids and knit brows in anger, raised cheeks in joy (Ekman, Friesen and Hager 2002); amounts by

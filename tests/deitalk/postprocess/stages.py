@@ -53,6 +53,11 @@ class Stages(ControlGroups):
         limited = self.rules.limit_speed(self.windows(curves[:, self.seals]))
         curves[:, self.seals] = limited.numpy()
 
+    def tongue_out(self, curves):
+        rows, near = both(curves, curves), self.windows(curves[:, self.tongue])[None, :, None]
+        free = 1 - self.rules.closure(rows[..., self.seals])
+        curves[:] = self.rules.tongue_out(rows, near, free)[0, :, 0].numpy()
+
     def scale_opening(self, curves, factor):
         rows = both(curves, curves)
         closed = self.rules.closure(rows[..., self.seals])

@@ -176,7 +176,7 @@ def rows_of(ways):
     """Weights of each emotion's own variants."""
     table = {}
     for name, own in VARIANTS.items():
-        table[name] = ways.weights[LABELS.index(name), [COLUMNS.index(v) for v in own]]
+        table[name] = ways.weights[..., [COLUMNS.index(v) for v in own]]
     return table
 
 
@@ -187,7 +187,18 @@ def test_a_take_is_between_the_variants_of_each_emotion_and_near_one():
         np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-5)
         assert 0.82 < weights.max(axis=1).mean() < 0.9
         assert (np.bincount(weights.argmax(axis=1), minlength=3) > 40).all()
-    assert not drawn().weights[LABELS.index("neutral")].any()
+    assert not drawn().of(one_hot(LABELS, "neutral")).any()
+
+
+def test_the_phrases_of_a_take_have_the_variants_that_takes_of_their_strength_have():
+    states = np.array([-0.5, 0.2, 2.0])
+    take = drawn(state=states)
+    for state, weights in zip(states, take.weights, strict=True):
+        np.testing.assert_allclose(weights, drawn(state=state).weights, rtol=1e-6)
+    angry, mixed = take.of(one_hot(LABELS, "angry")), np.zeros((3, len(LABELS)), np.float32)
+    assert not angry[:, [k for k, name in enumerate(COLUMNS) if EMOTION_OF[name] != "angry"]].any()
+    mixed[:, [LABELS.index("angry"), LABELS.index("sad")]] = 0.3, 0.7
+    np.testing.assert_allclose(take.of(mixed).sum(axis=1), 1, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
