@@ -67,8 +67,8 @@ MOST_DISPLAY = 3.0
 """Limit of the standard deviations of the display."""
 NAMED, NAMED_AS = (1.6, -2.0), {"neutral": (MOST, 0.0), "angry": (MOST, 0.0), "sad": (1.6, 0.0)}
 """Intensity that the strongest voice approaches in an emotion that is named, with the decibels that
-its voice counts more; and those of some labels. With the bound 1.2 and 4 dB of a former law the
-stronger phrase of a take was hardly seen to be: voices of 4 and 9 dB had .82 and .93; now .86, 1.06.
+its voice counts more; and those of some labels. With 1.2 and 4 dB, of a former law, the stronger
+phrase of a take was hardly seen to be: voices of 4 and 9 dB had .82 and .93, and have .86 and 1.05.
 Anger's steps are large without; in sadness people are quieter."""
 NAMED_MOST, NAMED_DB = np.array([NAMED_AS.get(label, NAMED) for label in LABELS]).T
 PAUSE_FRAMES = 8
