@@ -116,10 +116,12 @@ class Expressions(Section):
 
 
 class LimitContactSpeed(Section):
-    """Lips start to close earlier and part later."""
+    """Lips start to close earlier and part later; the tongue comes out and goes back gradually."""
 
     step: float = Field(default=0.5, ge=0.02, le=1)
     """Largest step of a contact in a frame, at 30 Hz."""
+    tongue: float = Field(default=0.15, ge=0.02, le=1)
+    """The same of a tongue that comes out."""
 
 
 class DeadZone(Section):

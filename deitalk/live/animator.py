@@ -497,7 +497,7 @@ class LiveAnimator:
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = found.held
         ways = [stream.ways for stream in streams]
-        variants = emotion @ np.array([way.weights for way in ways])
+        variants = np.stack([way.of(rows) for way, rows in zip(ways, emotion, strict=True)])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
         voice = VoiceTracks(
             scale, opening, holds, phones, emotion, back, kept, variants, side

@@ -8,7 +8,7 @@ corrects the decoder:
   the readout gives it and of a power of the decoder's (`POWER`): none that either denies, and the
   decoder's timing.
 - Rounding and the tip of the tongue are those of the phones that are heard; the tongue comes out
-  for TH alone, and the lower lip does not touch the teeth meanwhile.
+  for TH alone, between the teeth, and the lower lip does not touch them meanwhile.
 - The opening and the width of the mouth, the height of the lower lip and of the corners move
   towards those that the readout gives, by controls that change nothing else of the lips; what
   rounding does to them is counted, so that lips are as narrow as measured ones. They
@@ -58,13 +58,16 @@ OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
 the width and the corners less, because rounded lips are hardly open."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
+RAISED = (0.5, 0.8)
+"""Reading of the tip up to which the tongue comes out, and from which it does not: in /l/, which is
+heard as TH in part, the tip is at the ridge behind the teeth."""
 UNBITTEN = (0.04, 0.1)
 """Reading of the tongue from which the lower lip leaves the teeth, and at which it is away from
 them: less than the tongue needs to come out, because TH is heard as F in part."""
 VOICE = (0.3, 0.6)
 """Reading of the voice up to which the mouth does not move, and from which it moves as it does."""
 SHOWN = {
-    "out": ("tongue_inOut", -0.65, 1.0),
+    "out": ("tongue_inOut", -0.42, 1.0),
     "tip": ("tongue_tipMove.ty", 0.75, 0.0),
     "funnel": ("mouth_funnel", 0.75, 0.0),
     "purse": ("mouth_purse", 0.45, 0.5),
@@ -73,8 +76,6 @@ SHOWN = {
 that is added."""
 MEASURED = ("_mouth_", "_jaw")
 """Parts of the names of the controls that show or change a measure."""
-FLAT = 0.5
-"""Width of a tongue that is out, as a control's value."""
 PURSED_FUNNEL = 0.35
 """Funnel of pursed lips."""
 
@@ -156,7 +157,6 @@ class LipReadout(nn.Module):
             "opens": opens / np.maximum(opens.sum(), 1),
             "speaks": of(*OPENING, *SPEAKING).max(axis=0),
         }
-        tables["values"][0] += FLAT * of("tongue_wideNarrow")[0]
         for name, table in tables.items():
             self.register_buffer(name, torch.tensor(table), persistent=False)
 
@@ -249,6 +249,7 @@ class LipReadout(nn.Module):
         """
         together, bite, out, tip, funnel, purse, _ = read[..., : len(CHANNELS), None].unbind(-2)
         out, free = (smoothstep((out - low) / (high - low)) for low, high in (OUT, UNBITTEN))
+        out = out * ((RAISED[1] - tip) / (RAISED[1] - RAISED[0])).clamp(0, 1)
         likely = torch.cat((together, bite), dim=-1) @ self.places
         both = readings.clamp(0, 1) ** POWER * likely
         seals = both * (1 - free * self.places[1])

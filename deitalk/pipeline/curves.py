@@ -22,7 +22,6 @@ import numpy as np
 
 from deitalk.acting import Acting, acted_as
 from deitalk.acting_fields import AUTO
-from deitalk.array_functions import median
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
@@ -428,8 +427,7 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    heard = intensities.voice[speaking]
-    state = state_of_intensity(float(median(heard))) if len(heard) else None
+    state = state_of_intensity(near) if speaking.any() else None
     # Traits of the character: of its voice's reference, of the take before, or drawn.
     given = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
     if given:
@@ -441,7 +439,7 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
-        weights @ ways.weights, side,
+        ways.of(weights), side,
     )  # fmt: skip
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional

@@ -216,9 +216,9 @@ class Intensities(NamedTuple):
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """Intensity of the voice in the emotion, times `share`, 0 to 1.2."""
+    """Intensity of the voice in the emotion, times `share`, 0 to 1.6."""
     applied: Float32
-    """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
+    """`predicted`, or the curve that was given, times the factor, 0 to 6.4."""
     scale: Float32
     """Factor on the difference of the emotional and the neutral reading, of which `share` is
     shown."""

@@ -63,6 +63,16 @@ class ControlGroups:
         """Controls that close the lips; an expression may increase them only."""
         return np.concatenate((self.together, self.bite))
 
+    @cached_property
+    def tongue(self) -> NDArray[np.intp]:
+        """The control by which the tongue comes out, below 0; or none."""
+        return self._named("tongue_inOut")
+
+    @cached_property
+    def tongue_tip(self) -> NDArray[np.intp]:
+        """The control that raises its tip; or none."""
+        return self._named("tongue_tipMove.ty")
+
     def closures(self, rule: KeepContacts) -> Closures:
         """What layers of edits do not part, by the rule for expressions."""
         seals = self.together.tolist(), self.bite.tolist()

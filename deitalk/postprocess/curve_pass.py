@@ -39,6 +39,7 @@ from deitalk.postprocess.curve_stages import (
     RestLips,
     Sharpen,
     SpeedLimit,
+    TongueOut,
     slowed_frames,
 )
 from deitalk.postprocess.factors import LEAST_PREDICTED
@@ -121,15 +122,16 @@ class CurvePass(nn.Module):
         self.behind = PEAK_FRAMES // 2 + slowed
         self.ahead = self.behind if ahead is None else min(ahead, self.behind)
         window, self.size = (self.behind, self.ahead), count
-        both = [*groups.seals, *(groups.seals + count)]
-        # scale, closed and bitten follow both readings
+        seals, tongue = ([*k, *(k + count)] for k in (groups.seals, groups.tongue))
         self.unseen = max(POSE_FRAMES - self.behind - self.ahead, 0)
         self.hold = Hold(rules.hold_pose, groups)
-        self.around = Around([*both, *(2 * count + k for k in (0, 3, 4))], *window)
+        # scale, closed and bitten follow both readings
+        self.around = Around(seals, tongue, [2 * count + k for k in (0, 3, 4)], *window)
         self.sharpen = Sharpen(rules.sharpen_contacts)
         self.closure = Closure(rules.keep_contacts, groups)
         self.seals = Columns(groups.seals, count)
         self.meet_phones = MeetPhones(groups, count)
+        self.tongue_out = TongueOut(rules.limit_contact_speed, groups, count, *window)
         self.open_mouth = OpenMouth(rules.scale_opening, groups, count)
         self.blend = Blend(rules.keep_contacts, groups, count)
         self.closing = SpeedLimit(yielding, *window)
@@ -217,6 +219,7 @@ class CurvePass(nn.Module):
         closed = self.closure(self.around.middle(contacts))  # (B, T, R)
         curves = self.seals.put(raw, self.around.middle(contacts))
         curves = self.meet_phones(curves, closed - likely, said.funnel, said.purse)
+        curves = self.tongue_out(curves, near.tongue, 1 - closed)
         # The mouth opens as the voice is strong, where lips do not meet.
         curves = self.open_mouth(curves, 1 - closed, said.opening)
         # The expression is the difference of the readings, scaled; it parts no closed lips.

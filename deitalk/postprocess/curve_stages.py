@@ -4,6 +4,7 @@ Letters: B streams, T frames of a call, R = 2 readings (neutral, then the one th
 controls, K contacts, W frames around a frame. Curves are (B, T, R, C).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,8 @@ GENTLE = 1.5
 """Steepness of the share of contacts by which certain ones stay above likely ones."""
 PARTED = 0.8
 """Share by which a contact that is added lowers what parts the lips."""
+TIP_DOWN = 0.3
+"""How far the tongue is out where its tip is between the teeth, and not raised behind them."""
 YIELDING_STEP = 1 / 3
 """Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
 ROUNDED = (0.15, 0.6)
@@ -94,6 +97,8 @@ class Near(NamedTuple):
     """1 within phones that close the lips [shape=(B, T, 1, 1, W)]."""
     bitten: Tensor
     """1 within phones with the lower lip at the teeth."""
+    tongue: Tensor
+    """How far the tongue is drawn in, below 0 out, in both readings [shape=(B, T, R, 1, W)]."""
 
 
 class Around(nn.Module):
@@ -101,8 +106,10 @@ class Around(nn.Module):
 
     Parameters
     ----------
-    columns : sequence of int [shape=(2 K + 3,)]
-        Contacts of both readings, scale, closed and bitten, of all columns of a row.
+    seals, tongue : sequence of int [shape=(2 K,) and (2,)]
+        Contacts and the tongue of both readings, of all columns of a row.
+    voice : sequence of int [shape=(3,)]
+        Scale, closed and bitten.
     behind, ahead : int
         W = behind + 1 + ahead.
     """
@@ -110,21 +117,28 @@ class Around(nn.Module):
     columns: Tensor
     window: Tensor
 
-    def __init__(self, columns: "list[int]", behind: int, ahead: int) -> None:
+    def __init__(
+        self,
+        seals: Sequence[int],
+        tongue: Sequence[int],
+        voice: Sequence[int],
+        behind: int,
+        ahead: int,
+    ) -> None:
         super().__init__()
-        self.behind, self.n_seals = behind, (len(columns) - 3) // 2
-        constant(self, "columns", np.array(columns))
+        self.behind = behind
+        self.sizes = [len(seals) // 2] * 2 + [len(tongue) // 2] * 2 + [1] * 3
+        constant(self, "columns", np.array([*seals, *tongue, *voice]))
         constant(self, "window", np.arange(behind + 1 + ahead))
 
     def forward(self, rows: Tensor, n_frames: int) -> Near:
         """Gather rows (B, behind + T + ahead, ...)."""
         near = rows.index_select(2, self.columns)
         index = torch.arange(n_frames, device=rows.device)[:, None] + self.window
-        near = near[:, index].permute(0, 1, 3, 2)  # (B, T, 2 K + 3, W)
-        sizes = [self.n_seals] * 2 + [1] * 3
-        neutral, emotional, scale, closed, bitten = torch.split(near, sizes, dim=2)
-        both = torch.stack((neutral, emotional), dim=2)
-        return Near(both, scale, closed.unsqueeze(2), bitten.unsqueeze(2))
+        near = near[:, index].permute(0, 1, 3, 2)  # (B, T, 2 K + 5, W)
+        *readings, scale, closed, bitten = torch.split(near, self.sizes, dim=2)
+        seals, tongue = (torch.stack(readings[k : k + 2], dim=2) for k in (0, 2))
+        return Near(seals, scale, closed.unsqueeze(2), bitten.unsqueeze(2), tongue)
 
     def middle(self, windows: Tensor) -> Tensor:
         """Values (...) of the frames themselves in windows (..., W)."""
@@ -396,6 +410,41 @@ class SpeedLimit(nn.Module):
 def slowed_frames(rule: LimitContactSpeed | None) -> int:
     """Frames before and after a value of 1 that the limit raises."""
     return 0 if rule is None else int(1 / rule.step)
+
+
+class TongueOut(nn.Module):
+    """A tongue that comes out for two frames or more, and gradually, where lips do not meet.
+
+    A readout of /th/ that is one frame long is wrong in seven of ten, and a tongue that is out in
+    single pictures is a red flash. Its tip is lowered meanwhile.
+    """
+
+    def __init__(
+        self,
+        rule: LimitContactSpeed | None,
+        groups: ControlGroups,
+        size: int,
+        behind: int,
+        ahead: int,
+    ) -> None:
+        super().__init__()
+        self.is_on = rule is not None
+        self.tongue, self.tip = Columns(groups.tongue, size), Columns(groups.tongue_tip, size)
+        step = None if rule is None else LimitContactSpeed(step=rule.tongue)
+        self.limit = SpeedLimit(step, behind, ahead)
+
+    def forward(self, curves: Tensor, near: Tensor, free: Tensor) -> Tensor:
+        """Of both readings, from the tongue around (B, T, R, 1, W), as far as lips are `free`."""
+        if not self.is_on or not len(self.tongue):
+            return curves
+        out = (-near).clamp_min(0)
+        pairs = torch.minimum(out[..., 1:], out[..., :-1])
+        lasting = torch.maximum(F.pad(pairs, (1, 0)), F.pad(pairs, (0, 1)))
+        shown = self.limit(lasting) * free.unsqueeze(-1)
+        curves = self.tongue.put(curves, self.tongue(curves).clamp_min(0) - shown)
+        down = (shown.amax(dim=-1, keepdim=True) / TIP_DOWN).clamp_max(1)
+        lowered: Tensor = curves * (1 - down * self.tip.mask)
+        return lowered
 
 
 class QuietLips(nn.Module):

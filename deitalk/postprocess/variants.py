@@ -1,13 +1,13 @@
 """Which variant of each emotion a take shows: given, or chosen by the voice and the character.
 
-A take is between the variants of its emotion. A strong voice is nearer to those of strong voices
+A phrase is between the variants of its emotion. A strong voice is nearer to those of strong voices
 (`rig.emotions.VARIANTS`), a weak one to those of weak voices. A character (its traits are those of
 a style, a voice or the take before) has its own besides, which are drawn from its traits and the
 seed, and habits: muscles that show more or less of every emotion, so that two characters of one
 variant are no one mask. Of nobody the strength alone decides, or with another seed than 0 the
 seed too: variants that were drawn for each recording hid which of two takes is the stronger one.
 
-Letters: S emotions, V variants of all of them, H habits, C controls.
+Letters: V variants of all emotions, H habits, C controls, T frames.
 """
 
 import math
@@ -41,6 +41,8 @@ QUIETER = {"sad": 0.6}
 FURTHEST_TRAIT = 10.0
 """More than any trait is below 0."""
 COLUMNS = tuple(EMOTION_OF)
+OWNERS = [LABELS.index(emotion) for emotion in EMOTION_OF.values()]
+"""Place of the emotion of each variant."""
 HABITS = (
     ("brow_raiseIn",), ("brow_raiseOut",), ("brow_down", "brow_lateral"),
     ("eye_squintInner", "eye_eyelidD"), ("eye_cheekRaise", "nasolabialDeepen"), ("_nose.",),
@@ -58,16 +60,20 @@ class Ways(NamedTuple):
     """How a take shows each emotion."""
 
     weights: Float32
-    """Of the variants of each emotion [shape=(S, V)]; a row sums to at most 1."""
+    """Of the variants within their emotions [shape=(..., V)]; those of one sum to at most 1."""
     side: float
     """1: the left side does what one side does alone, such as the smile of contempt; -1: the right
     one."""
     habits: Float32
     """Factors on the expression of the controls of `HABITS` [shape=(H,)]."""
 
+    def of(self, emotion: Float32) -> Float32:
+        """Weights of the variants in a mixture of emotions (..., 9) [shape=(..., V)]."""
+        return emotion[..., OWNERS] * self.weights
+
 
 def choose_ways(
-    given: Mapping[str, float], traits: Traits, seed: int, state: float | None = None
+    given: Mapping[str, float], traits: Traits, seed: int, state: Float64 | float | None = None
 ) -> Ways:
     """Variants that are given, and chosen ones of the other emotions.
 
@@ -79,10 +85,11 @@ def choose_ways(
         Of the character.
     seed : int
         Another number draws otherwise.
-    state : float, optional
+    state : float or array [shape=(T,)], optional
         Of the voice (`feeling.state_of_intensity`); None: not known, neither strong nor weak.
     """
-    weights = np.zeros((len(LABELS), len(COLUMNS)), np.float32)
+    states = None if state is None else np.asarray(state)
+    weights = np.zeros((*(() if states is None else states.shape), len(COLUMNS)), np.float32)
     side = math.copysign(1.0, traits.side)
     if PLAIN in given:
         return Ways(weights, side, np.ones(len(HABITS), np.float32))
@@ -90,15 +97,15 @@ def choose_ways(
     rng = np.random.default_rng([seed, *(character if traits.own else ())])
     spread = SPREAD * (traits.own or float(seed != 0))
     for emotion, own in VARIANTS.items():
-        above = 0.0 if state is None else state - USUAL_STATE + QUIETER.get(emotion, 0.0)
-        strength = (HOME if above > 0 else WEAK_HOME) * math.tanh(STEEPNESS * above)
-        drawn = spread * rng.standard_normal(len(own)) + strength * np.array([*own.values()])
-        shares = np.exp(drawn - drawn.max())
-        shares /= shares.sum()
+        usual = USUAL_STATE - QUIETER.get(emotion, 0.0)
+        above = np.zeros(()) if states is None else states - usual
+        strength = np.where(above > 0, HOME, WEAK_HOME) * np.tanh(STEEPNESS * above)
+        homes = strength[..., None] * np.array([*own.values()])
+        drawn = np.exp(spread * rng.standard_normal(len(own)) + homes)
+        shares = drawn / drawn.sum(axis=-1, keepdims=True)
         if any(name in given for name in own):
             shares = np.array([given.get(name, 0.0) for name in own])
-        columns = [COLUMNS.index(name) for name in own]
-        weights[LABELS.index(emotion), columns] = shares
+        weights[..., [COLUMNS.index(name) for name in own]] = shares
     habits = spread / SPREAD * np.clip(rng.standard_normal(len(HABITS)), LEAST_HABIT, MOST_HABIT)
     return Ways(weights, side, np.exp(HABIT_SPREAD * habits).astype(np.float32))
 

@@ -58,12 +58,11 @@ ACCENTS: dict[str, tuple[float, ...]] = {
 """Motion of `STEMS` for a full accent in an emotion; 0 in the neutral reading, see `GESTURES`."""
 HELD: dict[str, tuple[float, ...]] = {
     "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.0, 0.0, 0.0),
-    "happy": (0.0, 0.0, 0.0, 0.0, 0.06, 0.12, 0.0, 0.0, 0.0),
-    "sad": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08, 0.0, 0.0),
+    "happy": (0.0, 0.0, 0.0, 0.0, 0.0, 0.12, 0.0, 0.0, 0.0),
 }
 """What an emotion holds of `STEMS` besides the network's expression, also between the accents:
-lower lids and knit brows in anger, raised cheeks and lower lids in joy, heavy lids in sadness
-(Ekman, Friesen and Hager 2002); amounts by eye."""
+lower lids and knit brows in anger, raised cheeks in joy (Ekman, Friesen and Hager 2002); amounts by
+eye."""
 MIRROR: dict[str, tuple[float, ...]] = {
     "angry": (0.10, 0.0, 0.30, 0.30, 0.20, 0.0, 0.0, 0.0, 0.0),
     "happy": (0.05, 0.10, 0.0, 0.0, 0.30, 0.50, 0.0, 0.60, 0.0),

@@ -18,6 +18,7 @@ from deitalk.models.lip_readout import (
     OPEN,
     OUT,
     POWER,
+    RAISED,
     TAPS,
     UNBITTEN,
     VOICE,
@@ -74,7 +75,9 @@ def test_what_one_of_both_denies_is_no_contact(readout, denied):
 
 
 CASES = {
-    "the tongue is out and bites nothing": ({"out": 1, "bite": 1}, OUT_OF, -0.65, -0.3),
+    "the tongue is out and bites nothing": ({"out": 1, "bite": 1}, OUT_OF, -0.42, -0.3),
+    "a raised tip is not between the teeth": ({"out": 1, "tip": RAISED[1]}, OUT_OF, 0.0, -0.3),
+    "half raised it is half out": ({"out": 1, "tip": sum(RAISED) / 2}, OUT_OF, -0.21, -0.3),
     "the decoder's tongue stays in": ({}, OUT_OF, 0.0, -0.5),
     "a tongue that is drawn in stays so": ({}, OUT_OF, 0.5, 0.5),
     "a little of the tongue does not show": ({"out": OUT[0]}, OUT_OF, 0.0, -0.1),

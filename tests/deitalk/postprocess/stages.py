@@ -53,6 +53,11 @@ class Stages(ControlGroups):
         limited = self.rules.limit_speed(self.windows(curves[:, self.seals]))
         curves[:, self.seals] = limited.numpy()
 
+    def tongue_out(self, curves):
+        rows, near = both(curves, curves), self.windows(curves[:, self.tongue])[None, :, None]
+        free = 1 - self.rules.closure(rows[..., self.seals])
+        curves[:] = self.rules.tongue_out(rows, near, free)[0, :, 0].numpy()
+
     def scale_opening(self, curves, factor):
         rows = both(curves, curves)
         closed = self.rules.closure(rows[..., self.seals])
@@ -68,7 +73,7 @@ class Stages(ControlGroups):
     def meet_phones(self, curves, phones):
         tracks = torch.from_numpy(phone_tracks(phones, len(curves)))[None, :, None, None]
         contacts = torch.from_numpy(curves[None, :, None, self.seals, None])
-        near = Near(contacts, contacts, tracks[..., 0:1], tracks[..., 1:2])
+        near = Near(contacts, contacts, tracks[..., 0:1], tracks[..., 1:2], contacts)
         met = self.rules.meet_phones.close(contacts, near)[..., 0]
         rows = self.rules.seals.put(both(curves, curves)[:, :, :1], met)
         added = self.rules.closure(met) - self.rules.closure(contacts[..., 0])

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from deitalk.config.rules import Expressions, RulesConfig, ScaleOpening
 from deitalk.emotions import LABELS
+from deitalk.postprocess.curve_stages import TIP_DOWN
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.factors import (
     expression_scale,
@@ -212,6 +213,38 @@ def test_lips_start_closing_early_and_keep_their_contact():
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
 
 
+TONGUE, TIP = RULES.tongue[0], RULES.tongue_tip[0]
+
+
+def tongue_of(values):
+    """Curves of a tongue with a raised tip, before and after the rule."""
+    curves = np.tile(CONTROLS.rest, (len(values), 1)).astype(np.float32)
+    curves[:, TONGUE], curves[:, TIP] = values, 0.5
+    return curves, curves.copy()
+
+
+def test_the_tongue_is_no_flash_and_comes_out_and_goes_back_gradually():
+    """A frame alone is none; two are led in and out by steps of .15; one drawn in stays so."""
+    _, alone = tongue_of([0, 0.3, 0, -0.4, 0, 0.2])
+    RULES.tongue_out(alone)
+    np.testing.assert_allclose(alone[:, TONGUE], [0, 0.3, 0, 0, 0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(alone[:, TIP], 0.5)
+    _, two = tongue_of([0, 0, 0, 0, -0.4, -0.4, 0, 0, 0])
+    RULES.tongue_out(two)
+    out = np.array([0, 0, 0.1, 0.25, 0.4, 0.4, 0.25, 0.1, 0])
+    np.testing.assert_allclose(two[:, TONGUE], -out, atol=1e-6)
+    np.testing.assert_allclose(two[:, TIP], 0.5 * (1 - np.minimum(out / TIP_DOWN, 1)), atol=1e-6)
+
+
+def test_the_tongue_stays_behind_lips_that_meet():
+    before, curves = tongue_of([0, -0.4, -0.4, 0, 0])
+    before[3, RULES.together] = curves[3, RULES.together] = 1
+    RULES.tongue_out(curves)
+    np.testing.assert_allclose(curves[:, TONGUE], [-0.25, -0.4, -0.4, 0, -0.1], atol=1e-6)
+    others = np.delete(np.arange(len(CONTROLS)), [TONGUE, TIP])
+    np.testing.assert_array_equal(curves[:, others], before[:, others])
+
+
 JAW = CONTROLS.index("CTRL_C_jaw.ty")
 
 
@@ -255,6 +288,7 @@ def test_rules_that_are_off_change_nothing():
     for apply in (
         off.sharpen_contacts,
         off.limit_contact_speed,
+        off.tongue_out,
         off.apply_dead_zone,
         lambda rows: off.scale_opening(rows, 2 * strength),
         lambda rows: off.express(

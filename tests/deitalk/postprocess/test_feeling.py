@@ -10,6 +10,8 @@ from deitalk.config.rules import VoiceIntensity
 from deitalk.emotions import LABELS
 from deitalk.postprocess.feeling import (
     MOST,
+    NAMED_DB,
+    NAMED_MOST,
     Phrases,
     felt_intensity,
     intensity_of,
@@ -54,22 +56,26 @@ def test_strength_has_no_bound():
     assert shout / loud > 1.2
 
 
-@pytest.mark.parametrize(
-    ("label", "decibels"),
-    [
-        *zip(LABELS[1:], [0, 4, 6, 4, 4, 4, 4, 4], strict=True),
-        ("neutral", 0),
-    ],
-)
-def test_named_emotion_is_shown_as_of_a_stronger_voice(label, decibels):
-    """A line that is read plainly is clear, stronger voices stay stronger, and none is above the
-    most."""
-    weights = np.eye(len(LABELS))[LABELS.index(label)]
-    strengths = np.arange(-20.0, 31.0)
+@pytest.mark.parametrize("label", LABELS)
+def test_named_emotion_is_shown_as_of_a_voice_counted_in_decibels(label):
+    """Up to a bound of its own; stronger voices stay stronger, and none reaches it."""
+    weights, strengths = np.eye(len(LABELS))[LABELS.index(label)], np.arange(-20.0, 31.0)
+    decibels, most = NAMED_DB[LABELS.index(label)], NAMED_MOST[LABELS.index(label)]
     voice = intensity_of(state_of(strengths, RULE))
     felt = felt_intensity(voice, np.tile(weights, (len(voice), 1)), RULE)
-    np.testing.assert_allclose(felt, intensity_of(state_of(strengths + decibels, RULE)), rtol=1e-5)
-    assert (np.diff(felt) > 0).all() and felt.max() < MOST
+    counted = intensity_of(state_of(strengths + decibels, RULE))
+    np.testing.assert_allclose(felt, most / MOST * counted, rtol=1e-5)
+    assert (np.diff(felt) > 0).all() and felt.max() < most
+
+
+@pytest.mark.parametrize("label", LABELS[1:])
+def test_a_plain_reading_is_moderate_and_a_stronger_phrase_is_seen_to_be(label):
+    """5 dB between two phrases, as actors have them, are a sixth more of any emotion; held smiles
+    of one actor at two strengths differ by a quarter."""
+    weights = np.eye(len(LABELS))[[LABELS.index(label)] * 3]
+    voice = intensity_of(state_of(np.array([-2.0, 3.0, 8.0]), RULE))
+    plain, normal, strong = felt_intensity(voice, weights, RULE)
+    assert 0.5 < plain < 0.8 and normal > 1.15 * plain and strong > 1.15 * normal
 
 
 def test_half_an_emotion_is_raised_less():
