@@ -242,12 +242,9 @@ def decode(
         guidance, saliency = intensity.guidance, intensity.saliency
         strength = intensity.strength
         effort = effort if intensity.effort is None else intensity.effort
-    neutral_style = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
-    plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
-    plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
     curves, past = model.rig_decoder.advance(
         _twice(speech),
-        torch.stack((plain, styles), dim=1),
+        torch.stack((plain_styles(styles), styles), dim=1),
         None if guidance is None else _twice(guidance),
         state.decoder,
     )
@@ -259,6 +256,13 @@ def decode(
     neutral, emotional = pair
     rows = TensorRows(neutral, emotional, saliency, strength, effort)
     return rows, TensorState(state.frontend, kept, past, lips)
+
+
+def plain_styles(styles: Tensor) -> Tensor:
+    """Styles (..., 5 + actors) of the neutral reading, of the same actor."""
+    emotions, actors = styles[..., : len(EMOTIONS)], styles[..., len(EMOTIONS) :]
+    neutral = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
+    return torch.cat((0 * emotions + neutral, actors), dim=-1)
 
 
 def _twice(rows: Tensor) -> Tensor:
