@@ -19,7 +19,7 @@ from deitalk.emotions import LABELS
 from deitalk.export.finished import MIXTURES
 from deitalk.export.sound_measures import BandLevels, WindowProsody
 from deitalk.live.analysis import N_SOUND, FrameMeasures, VoiceAnalysis
-from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.models.causal_model import TensorState, causal_frontend, decode, first_state, grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network_graph import causal_graph
 from deitalk.postprocess.curve_pass import CurvePass
@@ -140,9 +140,11 @@ class FinishedLive(nn.Module):
         labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
         styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=1)
         before = TensorState.of(network, self.model)
-        rows, next_network = advance(
-            self.model, self._spectra(sound, frame), styles[:, None], before
+        speech, heard = causal_frontend(self.model).advance(
+            self._spectra(sound, frame), before.frontend
         )
+        before = before._replace(frontend=heard)
+        rows, next_network = decode(self.model, speech, styles[:, None], before)
         # Measures of its voice.
         begun = frame >= self.delay
         factor, rest = intensity.unbind(1)

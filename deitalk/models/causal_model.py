@@ -178,30 +178,22 @@ def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
     return cast("CausalWhisperFrontend", model.frontend)
 
 
-def advance(
-    model: DEITalk, windows: Tensor, styles: Tensor, state: TensorState
+def decode(
+    model: DEITalk, speech: Tensor, styles: Tensor, state: TensorState
 ) -> tuple[NetworkRows, TensorState]:
-    """Read the next frames of streams in the neutral and in another emotion.
+    """The next frames of streams, in the neutral and in another emotion.
 
     Parameters
     ----------
     model : DEITalk
         With a causal frontend, in evaluation mode.
-    windows : Tensor [shape=(B, G P, W)]
-        Samples of the next groups of spectra.
+    speech : Tensor [shape=(B, G, D)]
+        Features of the frontend.
     styles : Tensor [shape=(B, G, 5 + actors)]
-        Of the frames that are read: the frontend's `delay` before the groups.
+        Of these frames.
     state : TensorState
-        From `first_state`, or from the call before.
+        From `first_state` or the call before; that of the frontend is returned as it is.
     """
-    speech, frontend = causal_frontend(model).advance(windows, state.frontend)
-    return decode(model, speech, styles, state._replace(frontend=frontend))
-
-
-def decode(
-    model: DEITalk, speech: Tensor, styles: Tensor, state: TensorState
-) -> tuple[NetworkRows, TensorState]:
-    """`advance` after the frontend: its features (B, G, D), and its state for the next call."""
     guidance, kept = None, state.saliency
     strength = speech.new_ones(speech.shape[:2])
     saliency = effort = speech.new_zeros(speech.shape[:2])
