@@ -1,12 +1,23 @@
-"""``python -m deitalk``."""
+"""The program ``deitalk``, which is ``python -m deitalk`` too."""
 
 import os
 import sys
 
 # `-m` puts the working folder first, before the standard library.
-if sys.path[:1] != [os.path.dirname(os.path.dirname(__file__))] and not sys.flags.safe_path:
-    del sys.path[0]
+if __name__ == "__main__" and not sys.flags.safe_path:
+    if sys.path[:1] != [os.path.dirname(os.path.dirname(__file__))]:
+        del sys.path[0]
 
-from deitalk.cli import program
+from deitalk.signals import leave_on_ctrl_c
 
-program()
+
+def run() -> None:
+    """Run the command line as a process of its own; Ctrl-C is one line from here on."""
+    leave_on_ctrl_c()
+    from deitalk.cli import program
+
+    program()
+
+
+if __name__ == "__main__":
+    run()

@@ -204,7 +204,7 @@ class Acting(BaseModel):
     )
     listen: Annotated[
         float,
-        PlainValidator(number_within(0.0, LONGEST_LISTENING)),
+        PlainValidator(number_within(0.0, LONGEST_LISTENING, percent=False)),
         _text("number", minimum=0, maximum=LONGEST_LISTENING),
     ] = Field(
         default=0.0,

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from math import nan
 from numbers import Integral, Real
@@ -17,6 +16,7 @@ from deitalk.postprocess.life.listener import NO_PLACE
 from rig import limits
 from rig.emotions import VARIANTS
 from rig.errors import UserError, quoted
+from rig.written_number import number_of
 
 if TYPE_CHECKING:
     from deitalk.emotions import ActorReference as ActorReference
@@ -226,16 +226,13 @@ def read_words(given: Any, info: ValidationInfo) -> Words:
     return Words.of(given, _files(info), str(info.field_name))
 
 
-def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
-    """A finite number within limits, or its text with a decimal point or comma."""
+def number_within(
+    low: float, high: float, *, percent: bool = True
+) -> Callable[[Any, ValidationInfo], float]:
+    """A finite number within limits, or its text (`rig.written_number`)."""
 
     def check(given: Any, info: ValidationInfo) -> float:
-        number = nan
-        with suppress(ValueError, OverflowError):
-            if isinstance(given, str):
-                number = float(given.strip().replace(",", "."))
-            elif isinstance(given, Real) and not isinstance(given, bool):
-                number = float(given)
+        number = number_of(given, percent=percent) if isinstance(given, str | Real) else nan
         if not low <= number <= high:
             raise ConfigError(
                 f"{info.field_name} {quoted(given)} must be a number, {low:g} to {high:g}"

@@ -5,6 +5,7 @@ system) and SIGHUP (the terminal was closed) end the process at once: temporary 
 processes stay. `catch_signals` raises exceptions for them too; `held` protects a short write.
 """
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -18,6 +19,21 @@ CTRL_C_CODE = 130
 """Exit code of a command stopped by Ctrl-C; typer returns it for any `KeyboardInterrupt`."""
 QUIET_SECONDS = 5.0
 """Time after the first signal in which others are dropped, so that clean-up is not interrupted."""
+
+
+def leave_on_ctrl_c() -> None:
+    """End this process with one line on Ctrl-C, until `catch_signals`; where nothing ignores it.
+
+    For a time without anything to clean up, such as imports, in which libraries of C lose or
+    print a `KeyboardInterrupt`.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os.write(2, b"deitalk: interrupted\n")
+    os._exit(CTRL_C_CODE)
 
 
 class Terminated(KeyboardInterrupt):
@@ -61,13 +77,15 @@ class _Handler:
 
 
 def catch_signals() -> None:
-    """Raise `Terminated` on SIGTERM and SIGHUP.
+    """Raise `Terminated` on SIGTERM and SIGHUP; `KeyboardInterrupt` on Ctrl-C, as Python does.
 
     A signal that is ignored already (``nohup``) stays ignored. Outside of the main thread, where
     Python sets no handlers, nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         return
+    if signal.getsignal(signal.SIGINT) is _leave:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     handler = _Handler()
     for number in _numbers():
         if signal.getsignal(number) is not signal.SIG_IGN:

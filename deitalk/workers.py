@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext, SpawnContext, SpawnProcess
@@ -18,9 +19,29 @@ from typing import Any
 from deitalk.safe_path import safe_path
 
 
+@contextmanager
+def starting() -> Iterator[None]:
+    """Processes that start in the block are safe (`safe_path`) and leave Ctrl-C to their parent.
+
+    They inherit the blocked signal, so that they print nothing in their imports either.
+    """
+    with safe_path():
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            yield
+            return
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # up to Python 3.11 it unblocks the signal
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _NewProcess(SpawnProcess):
     def start(self) -> None:
-        with safe_path():
+        with starting():
             super().start()
 
 
@@ -38,7 +59,7 @@ else:
 
     class _ForkedProcess(ForkServerProcess):
         def start(self) -> None:
-            with safe_path():  # it may start the server again
+            with starting():  # it may start the server again
                 super().start()
 
     class _ForkServer(ForkServerContext):

@@ -74,3 +74,12 @@ def write_dataset(
         )
     pd.DataFrame(rows).to_csv(folder / "clips.csv", index=False)
     return folder
+
+
+def spoil(folder: Path, column: str, value: str, row: int = 0) -> None:
+    """Put a value into the table of clips."""
+    frame = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    if column not in frame:
+        frame[column] = ""
+    frame.loc[row, column] = value
+    frame.to_csv(folder / "clips.csv", index=False)

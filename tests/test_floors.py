@@ -37,7 +37,7 @@ FLOORS = {
         mesh controls
         files
         errors
-        limits arrays emotions
+        limits arrays emotions written_number
     """,
     "api": """
         commands

@@ -8,12 +8,12 @@ from time import monotonic
 
 from api.compute.order import Answer, Limits, Order
 from api.compute.process import work
-from deitalk.safe_path import safe_path
 from deitalk.workers import (
     FORK_SERVER,
     NEW_PROCESSES,
     Worker,
     WorkerLost,
+    starting,
 )
 
 START_SECONDS = 120.0
@@ -129,7 +129,7 @@ def start_early(backend: str) -> None:
         process_context(backend)
         from multiprocessing import forkserver
 
-        with safe_path():
+        with starting():
             forkserver.ensure_running()
 
 

@@ -15,7 +15,7 @@ from deitalk.cli.options import CheckedCommands
 from deitalk.cli.targets import hold_targets
 from deitalk.installed import __version__
 from deitalk.safe_path import safe_path
-from deitalk.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
+from deitalk.signals import CTRL_C_CODE, catch_signals, leave_on_ctrl_c, received, release_signals
 from rig.errors import UserError, one_line
 
 VERBS = (
@@ -90,6 +90,7 @@ def program() -> None:
         main()
     except SystemExit as end:
         code = end.code or 0
+        leave_on_ctrl_c()  # all is done
         raise
 
 
@@ -109,12 +110,12 @@ def main(app: typer.Typer | None = None, name: str = "deitalk") -> None:
             app = app or commands(*sys.argv[1:2])
             code = app(prog_name=name, standalone_mode=False)
         if code == CTRL_C_CODE:
-            _fail("stopped", CTRL_C_CODE)
+            raise KeyboardInterrupt
         sys.exit(code)
     except UsageError as error:
         _fail(_usage(error), 2)
-    except (typer.Abort, Terminated):
-        _fail("stopped", CTRL_C_CODE)
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", CTRL_C_CODE)
     except UserError as error:
         _fail(name_option(error))
     except BrokenPipeError:

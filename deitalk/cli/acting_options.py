@@ -14,8 +14,6 @@ from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from rig import limits
 
-_TYPES = {"number": float, "integer": int}
-
 
 @dataclass(frozen=True)
 class Given:
@@ -111,6 +109,8 @@ def _option(name: str) -> inspect.Parameter:
     extra: dict[str, Any] = field.json_schema_extra or {}  # type: ignore[assignment]
     kind, default = _kind(field), extra.get("default", field.default)
     more: dict[str, Any] = {"min": 0, "max": limits.SEED} if kind is int else {}
+    if kind is float:  # as text, for `rig.written_number`
+        kind, more = str, {"metavar": "<number>"}
     flags = [f"--{name.replace('_', '-')}"]
     if kind is bool:
         flags = [f"{flags[0]}/--no-{name}"]
@@ -136,7 +136,7 @@ def _kind(field: FieldInfo) -> Any:
     if field.annotation is bool:
         return bool
     stated = (part.json_schema for part in field.metadata if isinstance(part, WithJsonSchema))
-    return _TYPES.get((next(stated, None) or {}).get("type", ""), str)
+    return {"number": float, "integer": int}.get((next(stated, None) or {}).get("type", ""), str)
 
 
 def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:

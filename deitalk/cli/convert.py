@@ -88,6 +88,7 @@ def convert(
     from rig.controls import DEFAULT_ID
     from rig.conversion.convert import convert as to_set
     from rig.conversion.convert import convert_and_note
+    from rig.curves.edit import parse_gains
     from rig.face.identity import identity_of
     from rig.formats.table import FORMATS, find_format
 
@@ -110,7 +111,8 @@ def convert(
             stop = "" if end is None else f" to {end:g}"
             raise DeitalkError(f"no frame lies in seconds {start:g}{stop} of the {whole:.2f} s")
     if gain or offset or mirror or smooth:
-        gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
+        gains = parse_gains(",".join(gain or []) or None)
+        offsets = parse_gains(",".join(offset or []) or None, "offset")
         curves = scale(to_set(curves, DEFAULT_ID), gains, offsets)
         curves = smoothed(curves.mirror() if mirror else curves, smooth)
     curves, note = convert_and_note(curves, wanted or curves.control_set)
@@ -149,16 +151,3 @@ def _control_set(rig: str, chosen: "Format") -> str | None:
             f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
         )
     return None
-
-
-def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
-    pairs = {}
-    for text in texts or []:
-        name, equals, number = text.partition("=")
-        try:
-            pairs[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals or not name.strip():
-            raise DeitalkError(f"{option} {text!r} must be NAME=NUMBER, such as brow=0.5")
-    return pairs

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import CheckedCommands
+from deitalk.cli.options import CheckedCommands, share_of
 from deitalk.cli.targets import reserve_file, reserve_folder
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
@@ -76,7 +76,7 @@ def mix(
     after: Annotated[str, typer.Argument(help="Model after it, such as runs/mine/best.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
     share: Annotated[
-        float, typer.Option(min=0, max=1, help="Of the second model's weights; 0 is the first.")
+        float, typer.Option(parser=share_of, help="Of the second model's weights; 0 is the first.")
     ] = 0.5,
     force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
 ) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import typer
 
 from rig.limits import MOST_DELAY, MOST_HANDLES
+from rig.written_number import number_of
 
 MAX_THREADS = 1024
 """Most threads; more end the process on most systems."""
@@ -64,6 +65,14 @@ def finite(value: float | None) -> float | None:
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value:g} is not a finite number")
     return value
+
+
+def share_of(text: str | float) -> float:
+    """Return a share, 0 to 1, such as ``.6`` or ``60%``."""
+    share = number_of(text)
+    if not 0 <= share <= 1:
+        raise typer.BadParameter(f"{text} must be a number, 0 to 1, or a percentage")
+    return share
 
 
 def usable_device(name: str) -> str:

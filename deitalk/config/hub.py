@@ -100,8 +100,7 @@ def fetch(name: str) -> Path:
             try:
                 folder = Path(snapshot_download(repo, revision=branch, allow_patterns=[*wanted]))
             except Exception as error:  # of the package, its client of HTTP, and the disk
-                reason = shorten(" ".join(str(error).split()), 160)
-                raise CheckpointError(f"{name}: not fetched ({reason}); try again") from None
+                raise CheckpointError(f"{name}: not fetched ({cause(error)}") from None
     if folder is None or not _has(folder, wanted):
         raise CheckpointError(
             f"{name}: no folder here, no whole copy in the cache, and no answer of the hub; go "
@@ -138,6 +137,25 @@ def hub_metadata(name: str) -> Any:
         ) from None
     except Exception:  # no connection, in the words of whichever client of HTTP is installed
         return None
+
+
+def cause(error: Exception) -> str:
+    """What failed, the network or the hub, and the way out: ``reason); way out``."""
+    from huggingface_hub import constants
+    from huggingface_hub.errors import LocalTokenNotFoundError
+
+    status = getattr(getattr(error, "response", None), "status_code", None)
+    if status in (401, 403) or isinstance(error, LocalTokenNotFoundError):
+        way = "`hf auth login` logs in"
+    elif constants.HF_HUB_OFFLINE:
+        way = "unset HF_HUB_OFFLINE"
+    elif isinstance(error, OSError) and error.filename:
+        way = "check the path, the permissions and the space"
+    elif status is None:
+        way = f"no answer of {constants.ENDPOINT}: check the network"
+    else:
+        way = "try again" if status >= 500 else "check the name"
+    return f"{shorten(' '.join(str(error).split()), 160)}); {way}"
 
 
 def _cached(repo: str, revision: str | None) -> Path | None:

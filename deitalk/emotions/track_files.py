@@ -1,8 +1,9 @@
 """Tables of keys from any spreadsheet, from JSON or YAML, as columns.
 
-A spreadsheet's CSV: commas, semicolons or tabs between cells; decimal points or commas; UTF-8 with
-or without mark, UTF-16 with mark; quoted cells; Excel's first line ``sep=;``; empty rows. Names of
-columns are compared without case and without spaces around them. K keys.
+A spreadsheet's CSV: commas, semicolons or tabs between cells; decimal points or commas; ``50%`` for
+0.5, but in times; UTF-8 with or without mark, UTF-16 with mark; quoted cells; Excel's first line
+``sep=;``; empty rows. Names of columns are compared without case and without spaces around them.
+K keys.
 """
 
 import csv
@@ -23,6 +24,7 @@ from rig.arrays import Bool, Float64, Int64
 from rig.errors import quoted
 from rig.files.reading import load_json, read_text
 from rig.files.text_rows import below_blank_rows
+from rig.written_number import number_of
 
 SHEET_SUFFIXES = (".csv", ".tsv")
 TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")
@@ -86,7 +88,7 @@ class Table:
         needed = [name for name in wanted if name not in defaults]
         for name in needed:
             if name not in self.names:
-                if any(math.isfinite(_number(given)) for given in self.names):
+                if any(math.isfinite(number_of(given)) for given in self.names):
                     raise EmotionError(
                         f"{self.path}: its first line must name the columns, such as "
                         "time,emotion,strength or time,intensity; it holds numbers"
@@ -107,7 +109,10 @@ class Table:
             raise _no_keys(self.path)
         columns = dict(zip(wanted, zip(*cells, strict=True), strict=True))
         words = {name: [str(value).strip().lower() for value in columns[name]] for name in texts}
-        found = {name: np.array([_number(value) for value in columns[name]]) for name in numbers}
+        found = {
+            name: np.array([number_of(value, percent=name != "time") for value in columns[name]])
+            for name in numbers
+        }
         table = Columns(self.path, found, words, np.array(rows))
         for name, column in found.items():
             table.refuse(~np.isfinite(column), lambda k: _not_finite(columns[name][k], name))  # noqa: B023
@@ -150,8 +155,8 @@ def table_of(content: Any, where: object) -> Table:
 
 
 def number(value: object, name: str, where: str) -> float:
-    """Return a value, with a decimal point or comma, as a finite number; else EmotionError."""
-    found = _number(value)
+    """Return a value (`rig.written_number`) as a finite number; else EmotionError."""
+    found = number_of(value)
     if not np.isfinite(found):
         raise EmotionError(f"{where}: {_not_finite(value, name)}")
     return found
@@ -159,16 +164,6 @@ def number(value: object, name: str, where: str) -> float:
 
 def _not_finite(value: object, name: str) -> str:
     return f"{name} is {quoted(value)}; it must be a finite number"
-
-
-def _number(value: Any) -> float:
-    """A number; NaN where it is none."""
-    try:
-        if isinstance(value, bool):
-            return math.nan
-        return float(value.replace(",", ".") if isinstance(value, str) else value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
 
 
 def missing(path: object, row: int, name: str, needed: Sequence[str]) -> EmotionError:

@@ -20,7 +20,7 @@ from deitalk.emotions import LABELS
 from deitalk.export.finished import MIXTURES
 from deitalk.export.sound_measures import BandLevels, WindowProsody
 from deitalk.live.analysis import N_SOUND, FrameMeasures, VoiceAnalysis
-from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.models.causal_model import TensorState, causal_frontend, decode, first_state, grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network_graph import causal_graph
 from deitalk.postprocess.curve_pass import CurvePass
@@ -153,7 +153,9 @@ class FinishedLive(nn.Module):
         styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=2)
         before = TensorState.of(network, self.model)
         spectra = _windows(sound, self.heard[phase], N_FFT)
-        rows, next_network = advance(self.model, spectra, styles, before)
+        speech, heard = causal_frontend(self.model).advance(spectra, before.frontend)
+        before = before._replace(frontend=heard)
+        rows, next_network = decode(self.model, speech, styles, before)
         # Measures of their voice.
         begun = frame >= self.delay
         factor, rest = intensity.unbind(1)

@@ -163,21 +163,19 @@ class CausalWhisperFrontend(WhisperFrontend):
         state : CausalState
             From `first_state`, or from the call before.
         """
-        features, new = self.hear(windows, state)
+        given, level = levelled(windows.to(state.mel.device), self.spectra, state.level)
+        features, new = self.read(given, state._replace(level=level))
         parts = zip(state.tensors(), new.tensors(), self.rings, strict=True)
         after = [
             _replaced(old, part, axis, state.place) if axis else part for old, part, axis in parts
         ]
         return features, CausalState.of(tuple(after))
 
-    def hear(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
-        """`advance` that returns keys and values of the new rows alone."""
-        given, level = levelled(windows.to(state.mel.device), self.spectra, state.level)
-        features, new = self.read(given, state)
-        return features, new._replace(level=level)
-
     def read(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
-        """`hear` windows at the usual level; the running level is not looked at."""
+        """`advance` windows at the usual level; keys and values returned are the new rows' alone.
+
+        The running level is not looked at.
+        """
         spectra = scaled(self.mel.decades(windows), PEAK).transpose(1, 2)
         mel = torch.cat((state.mel, spectra), dim=1)
         # Few frames of many streams: products of matrices, where a convolution is one a stream.

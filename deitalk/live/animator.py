@@ -23,10 +23,9 @@ from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
     chosen_actor,
-    put,
-    take,
     trained_weights,
 )
+from deitalk.models.streams import put, take
 from deitalk.postprocess.factors import expression_scale, held_intensity
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life

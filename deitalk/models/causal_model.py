@@ -4,7 +4,7 @@ Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group,
 spectrum, C controls.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -23,9 +23,8 @@ from deitalk.models.protocol import (
     Product,
     SpectraGrid,
     State,
-    put,
-    take,
 )
+from deitalk.models.streams import StreamedNetwork
 from deitalk.postprocess.curve_pass import TorchPass
 from rig import ControlSet
 from rig.arrays import Float32
@@ -57,17 +56,7 @@ class TensorState(NamedTuple):
         return cls(frontend, saliency, tuple(rest[:layers]), tuple(rest[layers:]))
 
 
-class TensorRows(NamedTuple):
-    """As `NetworkRows`."""
-
-    neutral: Tensor
-    emotional: Tensor
-    saliency: Tensor
-    strength: Tensor
-    effort: Tensor
-
-
-class TorchNetwork:
+class TorchNetwork(StreamedNetwork):
     """A causal DEITalk as a `CausalNetwork`.
 
     Parameters
@@ -107,42 +96,21 @@ class TorchNetwork:
 
     @torch.no_grad()
     def first_state(self, batch: int) -> State:
-        """See `CausalNetwork`; so the other methods. States stay on the model's device."""
+        """See `CausalNetwork`. States stay on the model's device."""
         return tuple(part.clone() for part in first_state(self.model, batch).tensors())
 
     @torch.no_grad()
-    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
-        """Read the first groups."""
-        groups = windows.shape[1] // self.grid.spectra
-        styles = np.zeros((len(windows), groups, len(EMOTIONS) + len(self.actors)), np.float32)
-        _, new = self._read(windows, styles, state, streams)
-        put(state, streams, new[: len(self.rings)], self.rings)
-
-    @torch.no_grad()
-    def advance(
-        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
-    ) -> NetworkRows:
-        """Read the next frames."""
-        rows, new = self._read(windows, styles, state, streams)
-        count = len(self.rings)
-        put(state, streams, new[:count], self.rings)
-        put(state[count:], streams, new[count:])
-        emotional, neutral, *tracks = rows
+    def _next(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+        level, *kept = state
+        given, level = levelled(self._given(windows), self.grid.spectra, level)
+        found = self.step(given, self._given(styles), *kept)
+        emotional, neutral, *tracks = found[: len(NetworkRows._fields)]
         # One array crosses the bus: columns of the readings, then of the tracks.
         columns = torch.cat((neutral, emotional, torch.stack(tracks, dim=-1)), dim=-1).cpu().numpy()
         size = len(self.controls)
         both = columns[..., :size], columns[..., size : 2 * size]
-        return NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0))
-
-    def _read(
-        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
-    ) -> tuple[tuple[Tensor, ...], State]:
-        """The next frames of streams, and what is new of their state."""
-        level, *kept = take(state, streams)
-        given, level = levelled(self._given(windows), self.grid.spectra, level)
-        found = self.step(given, self._given(styles), *kept)
-        count = len(TensorRows._fields)
-        return found[:count], (level, *found[count:])
+        rows = NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0))
+        return rows, (level, *found[len(NetworkRows._fields) :])
 
     def _given(self, values: Float32) -> Tensor:
         return torch.from_numpy(values).to(self.model.device)
@@ -210,30 +178,22 @@ def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
     return cast("CausalWhisperFrontend", model.frontend)
 
 
-def advance(
-    model: DEITalk, windows: Tensor, styles: Tensor, state: TensorState
-) -> tuple[TensorRows, TensorState]:
-    """Read the next frames of streams in the neutral and in another emotion.
+def decode(
+    model: DEITalk, speech: Tensor, styles: Tensor, state: TensorState
+) -> tuple[NetworkRows, TensorState]:
+    """The next frames of streams, in the neutral and in another emotion.
 
     Parameters
     ----------
     model : DEITalk
         With a causal frontend, in evaluation mode.
-    windows : Tensor [shape=(B, G P, W)]
-        Samples of the next groups of spectra.
+    speech : Tensor [shape=(B, G, D)]
+        Features of the frontend.
     styles : Tensor [shape=(B, G, 5 + actors)]
-        Of the frames that are read: the frontend's `delay` before the groups.
+        Of these frames.
     state : TensorState
-        From `first_state`, or from the call before.
+        From `first_state` or the call before; that of the frontend is returned as it is.
     """
-    speech, frontend = causal_frontend(model).advance(windows, state.frontend)
-    return decode(model, speech, styles, state._replace(frontend=frontend))
-
-
-def decode(
-    model: DEITalk, speech: Tensor, styles: Tensor, state: TensorState
-) -> tuple[TensorRows, TensorState]:
-    """`advance` after the frontend: its features (B, G, D), and its state for the next call."""
     guidance, kept = None, state.saliency
     strength = speech.new_ones(speech.shape[:2])
     saliency = effort = speech.new_zeros(speech.shape[:2])
@@ -242,12 +202,9 @@ def decode(
         guidance, saliency = intensity.guidance, intensity.saliency
         strength = intensity.strength
         effort = effort if intensity.effort is None else intensity.effort
-    neutral_style = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
-    plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
-    plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
     curves, past = model.rig_decoder.advance(
         _twice(speech),
-        torch.stack((plain, styles), dim=1),
+        torch.stack((plain_styles(styles), styles), dim=1),
         None if guidance is None else _twice(guidance),
         state.decoder,
     )
@@ -257,8 +214,15 @@ def decode(
         pair = model.lips.correct(pair, model.lips(speech, state.lips[0]))
         lips = (model.lips.next_past(state.lips[0], speech),)
     neutral, emotional = pair
-    rows = TensorRows(neutral, emotional, saliency, strength, effort)
+    rows = NetworkRows(neutral, emotional, saliency, strength, effort)
     return rows, TensorState(state.frontend, kept, past, lips)
+
+
+def plain_styles(styles: Tensor) -> Tensor:
+    """Styles (..., 5 + actors) of the neutral reading, of the same actor."""
+    emotions, actors = styles[..., : len(EMOTIONS)], styles[..., len(EMOTIONS) :]
+    neutral = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
+    return torch.cat((0 * emotions + neutral, actors), dim=-1)
 
 
 def _twice(rows: Tensor) -> Tensor:

@@ -366,19 +366,14 @@ class DEITalk(nn.Module):
             largest = [module.project(piece.float()).amax(dim=0) for piece in pieces]
             embedding = torch.stack(largest).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
-        guidance = speech.new_empty(n_frames, module.guidance_size)
-        tracks = speech.new_empty(3, n_frames, dtype=torch.float32)
+        parts = []
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].float().unsqueeze(0), embedding)
-            inner = slice(start - first, stop - first)
-            guidance[start:stop] = output.guidance[0, inner]
-            effort = output.strength if output.effort is None else output.effort
-            rows = torch.cat((output.saliency, output.strength, effort))
-            tracks[:, start:stop] = rows[:, inner]
-        saliency, strength, effort = tracks
-        if module.effort is None:
-            return Analysis(speech, guidance, saliency, strength, lips=lips)
-        return Analysis(speech, guidance, saliency, strength, effort, lips)
+            rows = (output.guidance.to(speech.dtype), output.saliency, output.strength)
+            rows += () if output.effort is None else (output.effort,)
+            parts.append([row[0, start - first : stop - first] for row in rows])
+        found = [torch.cat(part) for part in zip(*parts, strict=True)]
+        return Analysis(speech, *found)._replace(lips=lips)
 
     def _read_lips(self, speech: Tensor) -> Tensor | None:
         """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 11)]."""

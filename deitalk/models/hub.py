@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from deitalk.config.hub import check_repository, model_files
+from deitalk.config.hub import cause, check_repository, model_files
 from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
 from deitalk.errors import CheckpointError
 from deitalk.models.folder import (
@@ -13,7 +13,6 @@ from deitalk.models.folder import (
     read_about,
 )
 from rig import limits
-from rig.errors import shorten
 from rig.files.reading import read_json, read_text
 
 REPORT = "report.md"
@@ -74,8 +73,7 @@ def push_to_hub(
         added = [CommitOperationAdd(path_in_repo=f, path_or_fileobj=x) for f, x in given.items()]
         return str(api.create_commit(name, added, commit_message="deitalk model push").commit_url)
     except Exception as error:  # of the package, its client of HTTP, and the disk
-        reason = shorten(" ".join(str(error).split()), 200)
-        raise CheckpointError(f"{name}: not pushed ({reason}); `hf auth login` logs in") from None
+        raise CheckpointError(f"{name}: not pushed ({cause(error)}") from None
 
 
 def model_card(folder: Path, name: str, license: str | None = None) -> str:

@@ -121,7 +121,6 @@ class DynamicIntensity(nn.Module):
         self.project = nn.Linear(in_size, emotion_size)
         self.kept = nn.Linear(in_size, emotion_size) if kept else None
         self.effort = nn.Linear(in_size, 1) if effort else None
-        self.guidance_size = (2 if kept else 1) * emotion_size
         self.classifier = nn.Sequential(
             nn.Linear(emotion_size, classifier_size),
             nn.ReLU(),

@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from deitalk.array_functions import as_index, like
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import RulesConfig
@@ -203,17 +202,17 @@ class SpectraGrid(NamedTuple):
 
 
 class NetworkRows(NamedTuple):
-    """What the network gives for consecutive frames."""
+    """What the network gives for consecutive frames: arrays, or tensors within torch."""
 
-    neutral: Float32
+    neutral: Any
     """[shape=(B, G, C)]."""
-    emotional: Float32
+    emotional: Any
     """[shape=(B, G, C)]."""
-    saliency: Float32
+    saliency: Any
     """[shape=(B, G), range -1 to 1]; 0 without the intensity module."""
-    strength: Float32
+    strength: Any
     """Predicted intensity [shape=(B, G), range 0 to 1]; 1 without the intensity module."""
-    effort: Float32
+    effort: Any
     """Strength of the voice [shape=(B, G)], dB above the usual; 0 without a readout."""
 
 
@@ -253,48 +252,6 @@ class CausalNetwork(Network, Protocol):
         streams : sequence of int
             The B of them that are read.
         """
-
-
-PLACE = 2
-"""Which of the state of a causal network is the number of a stream's next row (B, 1)."""
-
-
-def take(state: State, streams: Sequence[int]) -> State:
-    """State of some streams; of consecutive ones a view."""
-    index = _index(streams)
-    return tuple(part[index] for part in state)
-
-
-def put(state: State, streams: Sequence[int], new: State, rings: Sequence[int] = ()) -> None:
-    """Replace the state of some streams, in place.
-
-    Parameters
-    ----------
-    state, new : State
-        Of all streams, and what is new of some; the last parts of a longer state stay.
-    streams : sequence of int
-        Which these are.
-    rings : sequence of int, optional
-        Of each part, the axis on which row n of a stream lies at place n modulo its length, and of
-        which `new` has the rows from the stream's `PLACE` on; 0 if all of the part is new.
-    """
-    index = _index(streams)
-    parts = zip(state, new, rings or [0] * len(new), strict=False)
-    for old, part, axis in reversed(list(parts)):  # the rings before the place of their rows
-        if axis:
-            size, count = old.shape[axis], part.shape[axis]
-            rows = np.arange(max(count - size, 0), count)
-            numbers, rows = (like(x, old) for x in (np.asarray(streams)[:, None], rows))
-            places = as_index(state[PLACE][index] + rows) % size
-            old.swapaxes(1, axis)[as_index(numbers), places] = part.swapaxes(1, axis)[:, -size:]
-        else:
-            old[index] = part
-
-
-def _index(streams: Sequence[int]) -> slice | list[int]:
-    first, last = streams[0], streams[-1]
-    whole = list(streams) == list(range(first, last + 1))
-    return slice(first, last + 1) if whole else list(streams)
 
 
 def check_product(model: Any, wanted: Product) -> None:

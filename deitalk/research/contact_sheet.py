@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from rig.errors import RigError
 from rig.face.accents import accents
 from rig.face.head import Head
 from rig.face.render import VIEWS
-from rig.face.render.picture import Picture, text_width, write_text
+from rig.face.render.picture import Picture, png, text_width, write_text
+from rig.files import atomic_write
 
 SHEETS = (
     "mouth", "mouth-side", "emotions", "views", "brow", "eye", "nose", "cheek", "lips", "jaw",
@@ -143,3 +145,9 @@ def draw_people(*, columns: int = 4, size: tuple[int, int] = (360, 400)) -> Pict
     people += [blank] * (-len(people) % columns)
     rows = [np.hstack(people[k : k + columns]) for k in range(0, len(people), columns)]
     return np.vstack(rows)
+
+
+def write_png(path: Path, picture: Picture) -> None:
+    """Write a sheet, whole or not at all."""
+    with atomic_write(path) as beside:
+        beside.write_bytes(png(picture))

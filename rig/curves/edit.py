@@ -12,6 +12,7 @@ from rig.arrays import Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
+from rig.written_number import number_of
 
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",
@@ -105,8 +106,8 @@ def clamp(
     return replace(curves, values=clamped), ClampReport(tuple(clipped))
 
 
-def parse_gains(gains: str | Mapping[str, float] | None) -> dict[str, float]:
-    """Factors by control or set, of a mapping or of a text: ``jaw=1.2,brow=0.5``.
+def parse_gains(gains: str | Mapping[str, float] | None, what: str = "gain") -> dict[str, float]:
+    """Factors (or offsets) by control or set, of a mapping or of a text: ``jaw=1.2,brow=50%``.
 
     Raises
     ------
@@ -119,13 +120,12 @@ def parse_gains(gains: str | Mapping[str, float] | None) -> dict[str, float]:
         found = {}
         for part in str(gains).split(","):
             name, _, factor = part.partition("=")
-            try:
-                found[name.strip()] = float(factor)
-            except ValueError:
+            found[name.strip()] = number_of(factor)
+            if math.isnan(found[name.strip()]):
                 raise CurveError(
-                    f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
-                ) from None
-    return {name: _finite(factor, f"gain of {name}") for name, factor in found.items()}
+                    f"{what} {quoted(part)} must be NAME=NUMBER of a control or region: brow=0.5"
+                )
+    return {name: _finite(factor, f"{what} of {name}") for name, factor in found.items()}
 
 
 def gain(

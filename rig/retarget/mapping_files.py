@@ -10,6 +10,7 @@ from rig.files import atomic_write
 from rig.files.reading import load_json, read_text
 from rig.files.text_rows import rows_of_text
 from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
+from rig.written_number import number_of
 
 HEADER = ("shape", "control", "value")
 
@@ -35,7 +36,7 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
             mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
         for row in rows:
             if row["control"]:
-                value = _value((row.get("value") or "1").replace(",", "."))
+                value = _value(row.get("value") or "1")
                 mapping.setdefault(_name(row["shape"]), {})[row["control"]] = value
     except (ValueError, KeyError, AttributeError, TypeError, OverflowError):
         mapping = {}
@@ -65,7 +66,7 @@ def _name(text: str | None) -> str:
 
 
 def _value(text: Any) -> float:
-    value = float(text)
+    value = number_of(text)
     if not abs(value) <= MAPPED_VALUE:
         raise ValueError("a control's value must be within its range")
     return value

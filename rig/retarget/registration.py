@@ -139,7 +139,7 @@ def register(
     """
     for landmarks, mesh in ((source_landmarks, source), (target_landmarks, target)):
         check_landmarks(landmarks, len(mesh.vertices))
-    from_, to = _shared_points(source, source_landmarks, target, target_landmarks)
+    from_, to = _shared_points(source_landmarks, target, target_landmarks)
     source_labels = lip_labels(source, source_landmarks)
     target_labels = lip_labels(target, target_landmarks)
 
@@ -175,7 +175,6 @@ def register(
 
 
 def _shared_points(
-    source: TriMesh,
     source_landmarks: Mapping[str, int],
     target: TriMesh,
     target_landmarks: Mapping[str, int],

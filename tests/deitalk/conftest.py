@@ -1,6 +1,21 @@
 """What all tests of the package share."""
 
+from pathlib import Path
+
 import pytest
+
+
+def write_small_model(folder: Path) -> None:
+    """Write a small network of random weights."""
+    import torch
+
+    from deitalk.config.curves import Config
+    from deitalk.models.checkpoint import save_model
+    from deitalk.models.curve_model import DEITalk
+    from tests.deitalk.pipeline.test_curves import SMALL
+
+    torch.manual_seed(0)
+    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -11,16 +26,8 @@ def _opened_once(opened_once):
 @pytest.fixture(scope="session")
 def model(tmp_path_factory):
     """The folder of a small network of random weights."""
-    import torch
-
-    from deitalk.config.curves import Config
-    from deitalk.models.checkpoint import save_model
-    from deitalk.models.curve_model import DEITalk
-    from tests.deitalk.pipeline.test_curves import SMALL
-
-    torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("model") / "small"
-    save_model(folder, DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
+    write_small_model(folder)
     return str(folder)
 
 

@@ -28,6 +28,19 @@ NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
         ({"look_at": "10,-5"}, {"look_at": (10, -5)}),
         ({"gain": "jaw=1.2,brow=.5"}, {"gain": {"jaw": 1.2, "brow": 0.5}}),
         ({"intensity": "1,5"}, {"intensity": 1.5}),
+        ({"intensity": "150%"}, {"intensity": 1.5}),
+        ({"rest": "50 %"}, {"rest": 0.5}),
+        ({"emotion": "happy=50%"}, {"emotion": {"happy": 0.5}}),
+        ({"emotion": {"happy": "50%"}}, {"emotion": {"happy": 0.5}}),
+        ({"emotion": KEYS.replace("0.2", "20%")}, {"emotion": KEYS}),
+        ({"emotion": "time;happy\n0;12,5%\n"}, {"emotion": "happy=0.125"}),
+        (
+            {"intensity_curve": "time,intensity\n0,50%\n"},
+            {"intensity_curve": "time,intensity\n0,.5\n"},
+        ),
+        ({"variant": "hot=50%"}, {"variant": {"hot": 0.5}}),
+        ({"gain": "jaw=120%"}, {"gain": {"jaw": 1.2}}),
+        ({"life": "brows=80%"}, {"life": {"brows": 0.8}}),
         ({"emotion": "happy=0.7"}, {"emotion": {"happy": 0.7}}),
         ({"emotion": '{"happy": 0.7}'}, {"emotion": "happy=.7"}),
         ({"rules": "no"}, {"rules": False}),
@@ -39,6 +52,23 @@ NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
 def test_text_and_value_are_one_acting(text, value):
     assert Acting.of(**text) == Acting.of(**value)
     assert Acting.of(**Acting.of(**text).settings) == Acting.of(**text)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"listen": "50%"},
+        {"look_at": "50%,0"},
+        {"seed": "50%"},
+        {"rest": "120%"},
+        {"rest": "%"},
+        {"emotion": "happy=150%"},
+        {"emotion": "time,emotion,strength\n50%,happy,1\n"},
+    ],
+)
+def test_seconds_degrees_and_shares_above_all_are_no_percentages(fields):
+    with one_line(UserError, match="%|150"):
+        Acting.of(**fields)
 
 
 finite = strategies.floats(0, 2)

@@ -27,15 +27,9 @@ ROUNDING = 1e-5
 
 def write_inputs(folder: Path, lines: int) -> None:
     """A tiny model, recordings of a third of a second, and a manifest."""
-    import torch
+    from tests.deitalk.conftest import write_small_model
 
-    from deitalk.config.curves import Config
-    from deitalk.models.checkpoint import save_model
-    from deitalk.models.curve_model import DEITalk
-    from tests.deitalk.pipeline.test_curves import SMALL
-
-    torch.manual_seed(0)
-    save_model(folder / "model", DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
+    write_small_model(folder / "model")
     (folder / "lines").mkdir()
     rows = ["audio,emotion,formats"]
     for number in range(lines):

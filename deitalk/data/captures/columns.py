@@ -23,6 +23,7 @@ from rig.errors import listed, quoted
 from rig.files.text_rows import read_rows
 from rig.formats.named import NamedCurves
 from rig.limits import POINTS_BYTES
+from rig.written_number import number_of
 
 HEADER = ("target", "source", "weight", "offset")
 LARGEST_WEIGHT = 100.0
@@ -132,10 +133,7 @@ def _row(path: Path, number: int, cells: dict[str, str]) -> Row:
 
 
 def _number(path: Path, row: int, name: str, text: str) -> float:
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        value = float("nan")
+    value = number_of(text)
     if not abs(value) <= LARGEST_WEIGHT:
         raise DataError(
             f"{path}: row {row}, {name} {quoted(text)} must be a number within ±{LARGEST_WEIGHT:g}"

@@ -13,6 +13,7 @@ from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.channels import ChannelFaults, asymmetry, channel_faults, swapped_takes
 from deitalk.data.captures.conventions import Relations
+from deitalk.data.captures.exchanged import Exchanged
 from deitalk.data.captures.expressions import RULE, style_scores
 from deitalk.data.captures.rest_pose import rest_pose
 from deitalk.data.clips import Clip, read_known
@@ -95,6 +96,10 @@ class Survey:
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
     by: str = "model"
     relations: Relations = field(default_factory=Relations)
+    exchanged: Exchanged = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.exchanged = Exchanged(self.controls)
 
     def add(self, clip: Clip, recording: Recording, curves: RigCurves) -> None:
         """Measure one clip."""
@@ -104,6 +109,7 @@ class Survey:
         self.by = "loudness" if predicted is None else "model"
         if predicted is not None:
             self.relations.add(clip, predicted, board, known)
+        self.exchanged.add(clip, predicted, board, known)
         speech = speech_activity(recording.waveform) > 0
         speaking = _at(speech, board, clip.offset_seconds, beyond=False)
         margin = round(AROUND_SPEECH_SECONDS * curves.fps)

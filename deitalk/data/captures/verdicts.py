@@ -43,6 +43,12 @@ def capture_rows(survey: Survey) -> list[Check]:
         *_sync(survey),
         verdict("rest pose", rests, "faces rest", "actors have another pose at rest"),
         *_channels(survey),
+        verdict(
+            "columns",
+            survey.exchanged.found(),
+            "jaw and sides move as they should",
+            "takes seem to have columns exchanged, or their names; mend the table, import again",
+        ),
         verdict("sides", survey.swapped(), "left and right agree", "takes seem mirrored in part"),
         verdict(
             "expressions",

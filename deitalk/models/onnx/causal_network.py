@@ -4,7 +4,7 @@ Letters: B streams, G frames of a call, P spectra of a frame, W samples of a spe
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,16 +18,15 @@ from deitalk.models.protocol import (
     State,
     Tracks,
     is_neutral,
-    put,
     styles_of,
-    take,
 )
+from deitalk.models.streams import StreamedNetwork
 from rig.arrays import Float32
 
 PROGRESS_FRAMES = 300
 
 
-class OnnxCausalNetwork(OpenedGraph):
+class OnnxCausalNetwork(StreamedNetwork, OpenedGraph):
     """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings."""
 
     is_causal = True
@@ -36,35 +35,17 @@ class OnnxCausalNetwork(OpenedGraph):
     def _read_metadata(self) -> None:
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
         states = json.loads(self.metadata["state"])
-        self._rings = tuple(map(int, json.loads(self.metadata["rings"])))
+        self.rings = tuple(map(int, json.loads(self.metadata["rings"])))
         self._reads_effort = self.metadata["effort"] == "true"
         self._names = [str(state["name"]) for state in states]
         self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
 
     def first_state(self, batch: int) -> State:
-        """See `CausalNetwork`; so the next two methods."""
+        """See `CausalNetwork`."""
         kept = (np.repeat(first[None], batch, axis=0) for first in self._first)
         return first_level(batch), *kept
 
-    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
-        """Read the first groups, which change the states of the frontend, the first ones, alone."""
-        groups = windows.shape[1] // self.grid.spectra
-        styles = np.zeros((len(windows), groups, 5 + len(self.actors)), np.float32)
-        _, new = self._run(windows, styles, take(state, streams))
-        put(state, streams, new[: len(self._rings)], self._rings)
-
-    def advance(
-        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
-    ) -> NetworkRows:
-        """Read the next frames."""
-        rows, new = self._run(windows, styles, take(state, streams))
-        count = len(self._rings)
-        put(state, streams, new[:count], self._rings)
-        put(state[count:], streams, new[count:])
-        return rows
-
-    def _run(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
-        """The next frames of streams, and what is new of their state."""
+    def _next(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
         given, level = levelled(windows, self.grid.spectra, state[0])
         inputs = {"windows": given, "emotion": np.ascontiguousarray(styles)}
         found = self._session.run(None, inputs | dict(zip(self._names, state[1:], strict=True)))

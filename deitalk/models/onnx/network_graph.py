@@ -4,22 +4,18 @@ The layers are those of the model; what lies between them is written without ope
 runtimes lack.
 """
 
-import math
 from copy import copy
 from typing import cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from deitalk.errors import CheckpointError
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import causal_frontend, first_state
+from deitalk.models.causal_model import causal_frontend, first_state, plain_styles
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
 from deitalk.models.onnx.whisper_graph import WhisperGraph
-from deitalk.models.protocol import neutral_weights
 
 OUTPUTS, EFFORT = ("curves", "neutral", "saliency", "intensity"), "effort"
 """Outputs of the graphs, in their order; a whole clip has the last one where a model reads it."""
@@ -39,9 +35,6 @@ class CurveGraph(nn.Module):
         If it has other ones.
     """
 
-    neutral: Tensor
-    frequency: Tensor
-
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.model = model
@@ -53,10 +46,6 @@ class CurveGraph(nn.Module):
                 "default and live"
             )
         self.frontend = WhisperGraph(cast("WhisperFrontend", model.frontend))
-        self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
-        size = model.frontend.output_size
-        exponent = torch.arange(0, size, 2, dtype=torch.float32) / size
-        self.register_buffer("frequency", 20 * math.pi * 10000.0**-exponent)
 
     def forward(
         self, sound: Tensor, emotion: Tensor, place: Tensor, peak: Tensor | None = None
@@ -74,50 +63,17 @@ class CurveGraph(nn.Module):
         peak : Tensor [shape=()]
             See `WhisperGraph.forward`; without it the clip is whole.
         """
-        speech = self.frontend(sound, emotion.shape[0], peak)
-        intensity = self._intensity(speech)
-        placed = speech
-        if self.model.config.positions:
-            angle = place[:, None] * self.frequency
-            waves = torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(-2)
-            placed = speech + waves[:, : speech.shape[-1]]
-        n_emotions = self.neutral.shape[1]
-        plain = torch.cat((0 * emotion[:, :n_emotions] + self.neutral, emotion[:, n_emotions:]), 1)
-        saliency, strength, guidance = intensity
-        readings = self.model.decoder(
-            placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
+        model, speech = self.model, self.frontend(sound, emotion.shape[0], peak)
+        intensity = model.intensity(speech)
+        readings = model.decoder(
+            model.place(speech, place[None], torch.ones(1)).expand(2, -1, -1),
+            torch.stack((plain_styles(emotion), emotion)),
+            intensity.guidance.expand(2, -1, -1),
         )
-        if self.model.lips is not None:
-            readings = self.model.lips.correct(readings, self.model.lips(speech)[0])
-        rows = readings[1], readings[0], saliency[0], strength[0]
-        effort = self.model.intensity.effort
-        return rows if effort is None else (*rows, effort(speech)[0, :, 0])
-
-    def _intensity(self, speech: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Saliency, strength (1, T) and guidance (1, T, E or 2 E), as `DynamicIntensity`."""
-        module = self.model.intensity
-        features = module.project(speech)
-        saliency = self._saliency(features)
-        strength = torch.sigmoid(4 * (F.softplus(module.slope) * saliency + module.offset))
-        guidance = saliency.unsqueeze(-1) * features
-        if module.kept is not None:
-            before = module.kept(speech)
-            kept = self._saliency(before).unsqueeze(-1) * before
-            guidance = torch.cat((guidance, kept), dim=-1)
-        return saliency, strength, guidance
-
-    def _saliency(self, features: Tensor) -> Tensor:
-        """Cosine of every frame with the largest values around it (1, T)."""
-        frames = self.model.intensity.saliency_frames
-        if frames is None:
-            around = features.amax(dim=1, keepdim=True)
-        else:
-            around = local_maximum(features, frames)
-        return (features * around).sum(dim=-1) / (_norm(features) * _norm(around))
-
-
-def _norm(features: Tensor) -> Tensor:
-    return features.square().sum(dim=-1).sqrt().clamp_min(1e-8)
+        if model.lips is not None:
+            readings = model.lips.correct(readings, model.lips(speech)[0])
+        rows = readings[1], readings[0], intensity.saliency[0], intensity.strength[0]
+        return rows if intensity.effort is None else (*rows, intensity.effort[0])
 
 
 def causal_graph(model: DEITalk) -> DEITalk:

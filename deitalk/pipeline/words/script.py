@@ -130,7 +130,7 @@ class _Reading:
         first = len(spoken)
         spoken += said
         for place, piece in places:
-            self._take(piece, first + index[place], len(spoken))
+            self._take(piece, first + index[place])
         self._close(len(spoken), lambda kind: True)
         letters = ["".join(filter(str.isalpha, word.text)) for word in said]
         capitals = [k for k, word in enumerate(letters) if len(word) > 1 and word.isupper()]
@@ -140,7 +140,7 @@ class _Reading:
                     Mark("accent", said[k].text, str(ACCENTS["moderate"]), first + k, first + k + 1)
                 )
 
-    def _take(self, piece: Piece, place: int, last: int) -> None:
+    def _take(self, piece: Piece, place: int) -> None:
         if piece.do == "end":
             self._close(place, lambda kind: kind == piece.kind, only_last=True)
         elif piece.do == "begin":

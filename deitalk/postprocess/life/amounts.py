@@ -1,7 +1,6 @@
 """How much of the motion above the mouth is wanted: ``brows=.8,head=1.2,blinks=1,gaze=.5``."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -10,6 +9,7 @@ from deitalk.config.rules import Idle
 from deitalk.errors import DeitalkError
 from deitalk.postprocess.life.listener import NO_PLACE
 from rig.errors import quoted
+from rig.written_number import number_of
 
 MOST = 2.0
 FURTHEST_LOOK = 35.0
@@ -93,9 +93,7 @@ def _parsed(text: str) -> dict[str, Any]:
         name, sign, value = (part.strip() for part in pair.partition("="))
         if not sign or name in factors:
             raise DeitalkError(f"life {quoted(pair)}; write it as {_EXAMPLE}, each name once")
-        if not re.fullmatch(r"(\d*\.?\d+|\d+\.)(e-?\d+)?", value):
-            raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
-        factors[name] = float(value)
+        factors[name] = value
     return factors
 
 
@@ -106,10 +104,10 @@ def _known(name: Any) -> str:
 
 
 def _factor(name: Any, value: Any) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not (math.isfinite(value) and 0 <= value <= MOST):
+    number = number_of(value) if isinstance(value, str | int | float) else math.nan
+    if not 0 <= number <= MOST:
         raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
-    return float(f"{value:.9g}")  # as text has it
+    return float(f"{number:.9g}")  # as text has it
 
 
 def place_of(look_at: Any) -> tuple[float, float, float]:

@@ -35,9 +35,8 @@ def sheet(
 
     python -m deitalk.research sheet emotions --identity child --columns 5 -o child.png
     """
-    from deitalk.research.contact_sheet import draw_people, draw_sheet, sheet_tiles
+    from deitalk.research.contact_sheet import draw_people, draw_sheet, sheet_tiles, write_png
     from rig.face import build_head
-    from rig.face.render.picture import write_png
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")

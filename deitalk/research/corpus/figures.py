@@ -129,9 +129,8 @@ def draw_faces(
     tile : int
         Height of a picture, pixels.
     """
-    from deitalk.research.contact_sheet import Tile, draw_sheet
+    from deitalk.research.contact_sheet import Tile, draw_sheet, write_png
     from rig.face import build_head
-    from rig.face.render.picture import write_png
 
     evenly_timed(phones)  # raises for unknown names
     tiles = [

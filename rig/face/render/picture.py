@@ -4,14 +4,10 @@ import io
 import zlib
 from functools import lru_cache
 from math import ceil
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from rig.errors import RigError
-from rig.files import atomic_write
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
@@ -21,22 +17,6 @@ Picture = NDArray[np.uint8]
 
 _SIZE = 1.4
 """Size of Pillow's own font over the height of its capitals."""
-
-
-def write_png(path: Path | str, picture: Picture) -> None:
-    """Write a picture (h, w, 3) uint8 to `path`, whole or not at all.
-
-    Raises
-    ------
-    RigError
-        If the array is not such a picture.
-    """
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise RigError(
-            f"picture of shape {picture.shape} and type {picture.dtype}; PNG needs (h, w, 3) uint8"
-        )
-    with atomic_write(path) as beside:
-        beside.write_bytes(png(picture))
 
 
 def png(picture: Picture) -> bytes:

@@ -156,7 +156,7 @@ def test_convert_rejects_hostile_numbers_and_names(refused, tmp_path):
         ("--end", "1e308", "time 1e+308 s"),
         ("--smooth", "1e308", "up to 60 s"),
         ("--smooth", "-1", "0 or more"),
-        ("--gain", "brow=nan", "gain of brow is nan"),
+        ("--gain", "brow=nan", "NAME=NUMBER"),
         ("--gain", "brow=1e308", "within ±1e+06"),
         ("--offset", "brow=-1e308", "within ±1e+06"),
         ("--gain", "[red]=1", "[red]"),

@@ -106,7 +106,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["absent.csv", "out.csv"], "does not exist"),
         (["{curves}", "out.abc"], "no format has the suffix"),
         (["{curves}", "out.csv", "--to", "abc"], "unknown format 'abc'"),
-        (["{curves}", "out.csv", "--gain", "brow"], "--gain 'brow' must be NAME=NUMBER"),
+        (["{curves}", "out.csv", "--gain", "brow"], "gain 'brow' must be NAME=NUMBER"),
         (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
         (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 1 to 300"),

@@ -1,5 +1,6 @@
 """SIGTERM and SIGHUP: files are cleaned up, one line is printed, a live recording is written."""
 
+import pickle
 import re
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 from deitalk.cli import main
 from deitalk.errors import DeitalkError
 from deitalk.signals import Terminated, catch_signals, held
+from deitalk.workers import FORK_SERVER, NEW_PROCESSES, Worker
 from rig import RigCurves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.formats.livelink_csv import read_take
@@ -36,6 +38,21 @@ def write(path: Path):
 
 main(app)
 """
+
+
+IMPORTS = """
+import os, signal, sys
+
+def interrupt(event, arguments):
+    if event == "import" and arguments[0] == {module!r}:
+        os.kill(os.getpid(), signal.SIGINT)
+
+from deitalk.__main__ import run
+sys.addaudithook(interrupt)
+sys.argv = ["deitalk", "model", "export", "mel", "--onnx", "never/there.onnx"]
+run()
+"""
+"""The program from its entry point, with Ctrl-C where it imports a module."""
 
 
 @pytest.fixture(autouse=True)
@@ -70,8 +87,32 @@ def test_ctrl_c_removes_temporary_files_and_is_one_line(tmp_path):
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert errors.strip() == "deitalk: stopped"
+    assert errors.strip() == "deitalk: interrupted"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "module", ["deitalk.cli", "typer", "deitalk.cli.options", "numpy", "torch"]
+)
+def test_ctrl_c_in_an_import_is_one_line(module):
+    """Before the command line, in it, and in what a command needs."""
+    with start("-c", IMPORTS.format(module=module)) as process:
+        out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out, errors) == (130, "", "deitalk: interrupted\n")
+
+
+def answer_blocked(pipe):
+    pipe.send(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="this system blocks no signals")
+@pytest.mark.parametrize("context", [NEW_PROCESSES, FORK_SERVER], ids=["new", "fork server"])
+def test_workers_leave_ctrl_c_to_their_parent_from_their_first_import_on(context):
+    worker = Worker(context, answer_blocked)
+    worker.start()
+    assert pickle.loads(worker.receive(60))
+    worker.stop()
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

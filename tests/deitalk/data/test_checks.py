@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import soundfile
 from typer.testing import CliRunner
@@ -13,7 +12,7 @@ from deitalk.cli.data import app
 from deitalk.data.checks import inspect_dataset
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
-from tests.dataset import JAW, RATE, write_dataset
+from tests.dataset import JAW, RATE, spoil, write_dataset
 
 CONTROLS = default_controls()
 
@@ -32,14 +31,6 @@ def rewrite(folder: Path, i: int, change, fps: float | None = None) -> None:
     curves = read_curves(path)
     values = change(curves.values.copy())
     write_curves(path, RigCurves(values, curves.names[: values.shape[1]], fps=fps or curves.fps))
-
-
-def edit(folder: Path, column: str, row: int, value: str) -> None:
-    frame = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    if column not in frame:
-        frame[column] = ""
-    frame.loc[row, column] = value
-    frame.to_csv(folder / "clips.csv", index=False)
 
 
 def test_good_dataset_has_no_errors_and_its_offset_is_0(folder):
@@ -65,12 +56,12 @@ def test_curves_that_are_late_or_early_are_measured_in_milliseconds(folder, fram
     lag = int(text.split("ms")[0].split()[-1])
     assert level == "warning" and abs(lag - expected) <= 17 and "offset_s" in text
     for i in range(7):
-        edit(folder, "offset_s", i, str(-frames / 60))
+        spoil(folder, "offset_s", str(-frames / 60), i)
     assert checks(folder)["offset"][0] == "ok", "and offset_s mends it"
 
 
 def test_speaker_in_two_splits_is_an_error(folder):
-    edit(folder, "speaker", 6, "test:0")
+    spoil(folder, "speaker", "test:0", 6)
     assert checks(folder)["speakers"] == (
         "error",
         "1 in several splits: test:0 (train, validation)",
@@ -135,7 +126,7 @@ def test_command_prints_a_table_or_json_and_fails_on_errors(folder):
     assert good.exit_code == 0
     lines = good.stdout.splitlines()
     assert lines[0].split()[:2] == ["ok", "files"] and len(lines) == 13
-    edit(folder, "speaker", 6, "test:0")
+    spoil(folder, "speaker", "test:0", 6)
     bad = runner.invoke(app, ["check", str(folder), "--json"])
     assert bad.exit_code == 1
     rows = json.loads(bad.stdout)
@@ -153,7 +144,7 @@ def two_splits(folder: Path, gap: float) -> None:
         values = {"speaker": "anna", "split": split, "take": "t1", "start_s": start,
                   "stop_s": start + 3}  # fmt: skip
         for column, value in values.items():
-            edit(folder, column, row, str(value))
+            spoil(folder, column, str(value), row)
 
 
 def test_neighbours_of_one_speaker_in_two_splits_are_an_error(folder):

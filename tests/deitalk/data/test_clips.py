@@ -9,7 +9,7 @@ import pytest
 from deitalk.data.clips import read_clips, read_intensity, read_known, read_phones
 from deitalk.errors import DataError
 from rig import default_controls
-from tests.dataset import write_dataset
+from tests.dataset import spoil, write_dataset
 from tests.errors import one_line
 
 
@@ -29,14 +29,6 @@ def copied(written: Path, place: Path) -> Path:
 @pytest.fixture
 def folder(written, tmp_path) -> Path:
     return copied(written, tmp_path)
-
-
-def spoil(folder: Path, column: str, value: str, row: int = 0) -> None:
-    frame = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    if column not in frame:
-        frame[column] = ""
-    frame.loc[row, column] = value
-    frame.to_csv(folder / "clips.csv", index=False)
 
 
 def refused(folder: Path, match: str) -> None:

@@ -32,14 +32,6 @@ THEIRS = {
 }  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def offline(monkeypatch):
-    import huggingface_hub.constants as constants
-
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-
-
 def saved(kind, folder):
     """A random checkpoint of transformers, large enough that layers matter."""
     torch.manual_seed(0)

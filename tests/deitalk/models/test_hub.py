@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -205,7 +206,8 @@ def test_what_cannot_be_fetched_is_one_line(the_hub, tmp_path, name, changes, wo
     ("changes", "name", "words"),
     [
         ({"HF_TOKEN": "wrong"}, "me/anna", "hf auth login"),
-        ({"HF_ENDPOINT": NOWHERE}, "me/anna", "not pushed"),
+        ({"HF_ENDPOINT": NOWHERE}, "me/anna", f"no answer of {NOWHERE}: check the network"),
+        ({"HF_HUB_OFFLINE": "1"}, "me/anna", "; unset HF_HUB_OFFLINE"),
         ({}, "anna", "org/name"),
         ({}, "me/anna@main", "org/name"),
     ],
@@ -215,6 +217,7 @@ def test_what_cannot_be_pushed_is_one_line(the_hub, run, changes, name, words):
     commits = len(state.repositories["me/anna"])
     done = command(settings | {"HF_TOKEN": TOKEN} | changes, "push", run / "best", name)
     assert done.code == 1 and words in done.err and done.err.count("\n") == 1
+    assert ("login" in done.err) == ("login" in words)
     assert len(state.repositories["me/anna"]) == commits
 
 
@@ -261,3 +264,22 @@ def test_a_service_fetches_at_its_start_and_a_request_never(run, tmp_path, monke
     settings = Settings(models={"anna": "me/anna", "mine": "runs/mine/best"}, data=tmp_path)
     assert settings.models["anna"] == run / "best"
     assert settings.models["mine"].is_absolute()
+
+
+@pytest.mark.parametrize(
+    ("error", "way"),
+    [
+        (401, "`hf auth login` logs in"),
+        (403, "`hf auth login` logs in"),
+        (404, "check the name"),
+        (503, "try again"),
+        (ConnectionRefusedError(111, "Connection refused"), "check the network"),
+        (TimeoutError("timed out"), "check the network"),
+        (OSError(28, "No space left on device", "model.safetensors"), "the space"),
+    ],
+)
+def test_each_cause_has_its_way_out(error, way):
+    if isinstance(error, int):
+        status, error = error, OSError("refused")
+        error.response = SimpleNamespace(status_code=status)
+    assert hub.cause(error).endswith(way)

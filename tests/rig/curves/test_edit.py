@@ -71,9 +71,9 @@ def test_gains_are_read_from_a_text():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("brow", "NAME=FACTOR"),
-        ("", "NAME=FACTOR"),
-        ("jaw=x", "NAME=FACTOR"),
+        ("brow", "NAME=NUMBER"),
+        ("", "NAME=NUMBER"),
+        ("jaw=x", "NAME=NUMBER"),
         ("jaw=inf", "gain of jaw is inf"),
         ({"jaw": "2"}, "it must be a number"),
     ],

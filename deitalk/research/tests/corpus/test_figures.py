@@ -49,7 +49,7 @@ def test_channels_are_drawn(tmp_path):
 def test_faces_are_drawn_and_differ(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(
-        "rig.face.render.picture.write_png", lambda path, picture: drawn.append(picture)
+        "deitalk.research.contact_sheet.write_png", lambda path, picture: drawn.append(picture)
     )
     draw_faces(tmp_path / "a.png", phones=("AA", "M"), emotions=("happy",), tile=64)
     assert drawn[0].shape == (128, 72, 3)

@@ -1,6 +1,5 @@
 """Killed and stopped builds: no process and no temporary file stays, the next build completes them."""
 
-import hashlib
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import pytest
 from deitalk.errors import DataError
 from deitalk.research.corpus.build import Shard, build
 from deitalk.research.corpus.engines import available_engines
+from deitalk.research.tests.corpus.test_build import digests
 from rig.errors import TargetError
 from tests.interrupt import count_writes, kill_at_write
 
@@ -39,14 +39,6 @@ catch_signals()
 shards = [Shard(f"espeak-{i:03d}", "espeak", 20.0, i) for i in range(4)]
 build(Path(sys.argv[1]), shards, workers=2)
 """
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.fixture(scope="module")
