@@ -1,9 +1,9 @@
 """Cues of voices that have not ended, which move what is above the mouth.
 
 The motion is that of `deitalk.postprocess.life.motion`; here are its cues as they become known,
-the causal form of `deitalk.postprocess.life.voice`. An accent is a peak of level and pitch over
-their means so far, a stress one of the sonority; both are known a frame or two after the peak.
-Phrases are known when they have ended for `JOINED_SECONDS`.
+the causal form of `deitalk.postprocess.life.voice`. An accent is a peak of level, pitch and
+sonority over their means so far, a stress one of the sonority; both are known a frame or two after
+the peak. Phrases are known when they have ended for `JOINED_SECONDS`.
 
 Streams are side by side, and their state is in the caller's hands. Letters: B streams, n frames of
 a call.
@@ -19,10 +19,10 @@ from deitalk.live.intensity import FORGET_FRAMES, Measures
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,
     ACCENT_WEIGHTS,
+    ACCENTS_PER_SECOND,
     FULL_ACCENT,
     FULL_STRESS_DB,
     JOINED_SECONDS,
-    LEAST_ACCENT,
     LEAST_STRESS_DB,
     LISTENING_EVERY,
     LISTENING_SECONDS,
@@ -39,17 +39,17 @@ SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
 """Share of a new frame in level and pitch, which smooths over a syllable, and in the sonority."""
 LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
 """Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
-EAGER_SECONDS, RELUCTANT = 3.0, 1.2
-"""Seconds from an accent on in which another one must stand out more, and how much at first."""
+EASIEST_ACCENT, RAISED = 1.2, 1.2
+"""Least weighted sum of an accent, and by how much an accent raises it for the next one. Speech
+lowers it again, by as much as `ACCENTS_PER_SECOND` raise it: readers have .6 to .9 a second."""
 NONE = -1
 """Frame of a phrase, or of speech, where there is none."""
 ACCENTS, STRESSES = 0, 1
 """Columns of the peaks."""
 SMOOTHINGS = np.array([SMOOTHING, SONORITY_SMOOTHING])
 DISTANCES = np.array([ACCENT_DISTANCE, STRESS_DISTANCE])
-FREE_FRAMES = np.array([round(EAGER_SECONDS * FRAME_RATE), STRESS_DISTANCE])
-FULL = np.array([FULL_ACCENT, FULL_STRESS_DB])
 SPREADS = np.array([LEVEL_DB, PITCH_SEMITONES, SONORITY_SPREAD_DB])
+FULL = np.array([FULL_ACCENT, FULL_STRESS_DB])
 PAUSE_SIZES = np.zeros(round(LISTENING_SECONDS * FRAME_RATE))
 """Length of the pause that is a cue, by the frames that it has lasted; 0: none."""
 for _size in PAUSES:
@@ -68,6 +68,8 @@ class CueState(NamedTuple):
     of the sonority [shape=(B, 3, 2)]."""
     since: Int64
     """Frames since the last peak [shape=(B, 2)]."""
+    least: Float64
+    """Least weighted sum of the next accent [shape=(B,)]."""
     loudest: Float64
     """Loudest sonority, which falls slowly [shape=(B,)]."""
     frame: Int64
@@ -109,7 +111,8 @@ class RunningCues:
             np.zeros((batch, 3)),
             np.zeros((batch, 3)),
             peaks,
-            np.tile(FREE_FRAMES, (batch, 1)),
+            np.tile(DISTANCES, (batch, 1)),
+            np.full(batch, EASIEST_ACCENT),
             np.full(batch, -100.0),
             np.zeros(batch, np.int64),
             none,
@@ -191,8 +194,9 @@ class RunningCues:
         )
         value = last + SMOOTHINGS * (target - last)
         since = state.since + 1
-        free = np.minimum(since[:, ACCENTS] / (EAGER_SECONDS * FRAME_RATE), 1)
-        least = np.stack((LEAST_ACCENT + RELUCTANT * (1 - free), 0 * free + LEAST_STRESS_DB), -1)
+        fallen = state.least - RAISED * ACCENTS_PER_SECOND / FRAME_RATE * speaks
+        accent = np.maximum(fallen, EASIEST_ACCENT)
+        least = np.stack((accent, np.full_like(accent, LEAST_STRESS_DB)), axis=-1)
         height = np.stack((last[:, ACCENTS], (last - valley)[:, STRESSES]), axis=-1)
         is_peak = (before < last) & (last > value) & (since >= DISTANCES) & (height >= least)
         valley = np.where(is_peak, value, np.minimum(valley, value))
@@ -210,6 +214,7 @@ class RunningCues:
             weights=weights,
             peaks=np.stack((value, last, valley), axis=1),
             since=np.where(is_peak, 0, since),
+            least=accent + RAISED * is_peak[:, ACCENTS],
             loudest=loudest,
         )
         return found, state

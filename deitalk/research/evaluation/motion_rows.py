@@ -101,8 +101,6 @@ SHAPES = {
     "NoseSneerLeft": ".05",
 }  # fmt: skip
 """Shapes of ARKit, and the least range of a calm face."""
-SENTENCES = 3
-"""Of a reader."""
 Rows = dict[str, float]
 Columns = dict[str, Rows]
 WANTED = {
@@ -360,15 +358,17 @@ def suggested(clips: Sequence[StrengthClip]) -> Rows:
     return scores
 
 
-def read_clips(path: Path, kind: str, split: str, most: int) -> list[StrengthClip]:
-    """Clips of so many speakers of a split; of a reader `SENTENCES`, evenly spread."""
+def read_clips(
+    path: Path, kind: str, split: str, most: int, sentences: int = 3
+) -> list[StrengthClip]:
+    """Clips of so many speakers of a split; of a reader so many sentences, evenly spread."""
     clips = [clip for clip in read_strength_clips(path, kind) if split in (clip.split, "all")]
     by_speaker: dict[str, list[StrengthClip]] = {}
     for clip in clips:
         by_speaker.setdefault(clip.speaker, []).append(clip)
     names = sorted(by_speaker)[:most]
     if kind == READERS:
-        return [c for n in names for c in by_speaker[n][:: -(-len(by_speaker[n]) // SENTENCES)]]
+        return [c for n in names for c in by_speaker[n][:: -(-len(by_speaker[n]) // sentences)]]
     return [clip for clip in clips if clip.speaker in names]
 
 
@@ -386,6 +386,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--readers", type=Path, action="append", default=[], help="of readers")
     parser.add_argument("--split", default="validation", help="speakers; all of another corpus")
     parser.add_argument("--most", type=int, default=12, help="speakers at most, but of strengths")
+    parser.add_argument("--sentences", type=int, default=3, help="of a reader at most")
     parser.add_argument("--only", action="append", choices=PARTS, help="these rows alone")
     parser.add_argument("--json", type=new_file, help="also write the measures to this file")
     options = parser.parse_args(arguments)
@@ -393,7 +394,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     report: dict[str, Columns] = {}
     try:
         actors = read_clips(options.actors, ACTORS, options.split, most)
-        readers = {p.stem: read_clips(p, READERS, options.split, most) for p in options.readers}
+        asked = options.split, most, max(options.sentences, 1)
+        readers = {path.stem: read_clips(path, READERS, *asked) for path in options.readers}
         spoken = {options.actors.stem: actors, **readers}
         if "strength" in chosen:
             report["strength"] = strengths(options.actors, options.split)
