@@ -150,10 +150,11 @@ class FinishedLive(nn.Module):
         window = sound[:, :WINDOW]
         measured = FrameMeasures.of_rows(self.levels(window), self.prosody(window), 1)
         found, measures = self.analysis(measured, rows.strength, rows.effort, rest, analysed)
-        held, scale, rule = rows.strength, factor[:, None], self.model.rules.voice_intensity
+        held, scale, felt = rows.strength, factor[:, None], found.intensity
+        rule = self.model.rules.voice_intensity
         labels = labels[:, None]
         if rule is not None:
-            applied = felt_intensity(found.intensity, labels, rule) * factor[:, None]
+            felt = felt_intensity(felt, labels, rule)
             held = held_intensity(
                 self.model.rules.expressions,
                 self.model.controls,
@@ -162,11 +163,11 @@ class FinishedLive(nn.Module):
                 labels,
                 rows.strength,
             )
-            scale = expression_scale(applied, held)
+            scale = expression_scale(felt * factor[:, None], held)
         phones, (back, kept, _) = torch.zeros_like(labels[..., :4]), found.held
         ways, side = variants[:, None, :-1], variants[:, None, -1]
         voice = VoiceTracks(
-            scale, found.opening, held, phones, labels, back, kept, ways, side
+            scale, found.opening, held, phones, labels, back, kept, ways, side, felt
         ).columns()
         # The rules.
         gates = torch.cat((found.mouth, found.expression), dim=1)

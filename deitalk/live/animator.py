@@ -500,7 +500,7 @@ class LiveAnimator:
         variants = emotion @ np.array([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
         voice = VoiceTracks(
-            scale, opening, holds, phones, emotion, back, kept, variants, side
+            scale, opening, holds, phones, emotion, back, kept, variants, side, felt
         ).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = take(self.due, ready)

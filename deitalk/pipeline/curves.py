@@ -379,7 +379,7 @@ class Unruled(NamedTuple):
     shown: Float32
     """Another array, the emotional reading [shape=(T, C)]; then the curves that are shown."""
     voice: Float32
-    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 44)]."""
     gates: Float32
     """Gates and motion, from `deitalk.postprocess.tracks.shown_columns` [shape=(T, 45)]."""
     gain: Float32
@@ -395,7 +395,7 @@ class Measured(NamedTuple):
     neutral: Float32
     shown: Float32
     voice: Float32
-    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 44)]."""
     intensities: Intensities
     traits: Traits
     habits: Float32
@@ -441,7 +441,7 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
-        weights @ ways.weights, side,
+        weights @ ways.weights, side, intensities.felt,
     )  # fmt: skip
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional
