@@ -129,7 +129,7 @@ class FinishedClip(nn.Module):
             scale = torch.where(is_drawn, scale, factor)
         phones, ways, side = torch.zeros_like(labels[:, :4]), variants[:, :-1], variants[:, -1]
         voice_rows = VoiceTracks(
-            scale, opening, held, phones, labels, pose.back, pose.share, ways, side
+            scale, opening, held, phones, labels, pose.back, pose.share, ways, side, felt
         ).columns()
         shown = torch.cat((mouth[:, None], share[:, None], motion), dim=1)
         curves, plain = self._finished(neutral, emotional, voice_rows, shown)

@@ -164,9 +164,10 @@ class FinishedLive(nn.Module):
         measured = FrameMeasures.of_rows(self.levels(windows), self.prosody(windows), self.n_frames)
         found, measures = self.analysis(measured, rows.strength, rows.effort, rest, analysed)
         factor = factor[:, None].expand(-1, self.n_frames)
-        held, scale, rule = rows.strength, factor, self.model.rules.voice_intensity
+        held, scale, felt = rows.strength, factor, found.intensity
+        rule = self.model.rules.voice_intensity
         if rule is not None:
-            applied = felt_intensity(found.intensity, labels, rule) * factor
+            felt = felt_intensity(felt, labels, rule)
             held = held_intensity(
                 self.model.rules.expressions,
                 self.model.controls,
@@ -175,11 +176,11 @@ class FinishedLive(nn.Module):
                 labels,
                 rows.strength,
             )
-            scale = expression_scale(applied, held)
+            scale = expression_scale(felt * factor, held)
         phones, (back, kept, _) = torch.zeros_like(labels[..., :4]), found.held
         ways, side = variants[..., :-1], variants[..., -1]
         voice = VoiceTracks(
-            scale, found.opening, held, phones, labels, back, kept, ways, side
+            scale, found.opening, held, phones, labels, back, kept, ways, side, felt
         ).columns()
         # The rules.
         gates = torch.stack((found.mouth, found.expression), dim=2)

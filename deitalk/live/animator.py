@@ -499,7 +499,7 @@ class LiveAnimator:
         variants = np.stack([way.of(rows) for way, rows in zip(ways, emotion, strict=True)])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
         voice = VoiceTracks(
-            scale, opening, holds, phones, emotion, back, kept, variants, side
+            scale, opening, holds, phones, emotion, back, kept, variants, side, felt
         ).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = take(self.due, ready)

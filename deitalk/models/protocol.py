@@ -86,11 +86,11 @@ class CurveRules(Protocol):
     ahead: int
     """Frames by which what comes out is behind what comes in."""
     before: Float32
-    """State of a stream before its first frame [shape=(N, 2 C + 43)]; each row is a face at rest.
+    """State of a stream before its first frame [shape=(N, 2 C + 44)]; each row is a face at rest.
     """
 
     def first(self, batch: int) -> Any:
-        """State of streams before their first frame (B, N, 2 C + 43): an array or a tensor."""
+        """State of streams before their first frame (B, N, 2 C + 44): an array or a tensor."""
 
     def __call__(self, *arrays: Any) -> tuple[Float32, Float32, Float32, Any]:
         """Finish the next frames.

@@ -378,7 +378,7 @@ class Unruled(NamedTuple):
     shown: Float32
     """Another array, the emotional reading [shape=(T, C)]; then the curves that are shown."""
     voice: Float32
-    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 44)]."""
     gates: Float32
     """Gates and motion, from `deitalk.postprocess.tracks.shown_columns` [shape=(T, 45)]."""
     gain: Float32
@@ -394,7 +394,7 @@ class Measured(NamedTuple):
     neutral: Float32
     shown: Float32
     voice: Float32
-    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 44)]."""
     intensities: Intensities
     traits: Traits
     habits: Float32
@@ -439,7 +439,7 @@ def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = No
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
-        ways.of(weights), side,
+        ways.of(weights), side, intensities.felt,
     )  # fmt: skip
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional

@@ -213,10 +213,12 @@ class Intensities(NamedTuple):
     """Intensity already in the emotional reading, 0 to 2; by default `network`."""
     voice: Float32
     """Intensity of the voice, 0 to 1.2."""
+    felt: Float32
+    """Intensity of the emotion in the voice, 0 to 1.6."""
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """Intensity of the voice in the emotion, times `share`, 0 to 1.6."""
+    """`felt` times `share`, 0 to 1.6."""
     applied: Float32
     """`predicted`, or the curve that was given, times the factor, 0 to 6.4."""
     scale: Float32
@@ -269,4 +271,5 @@ def measure_intensities(
     if rule is None and curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
     predicted = felt * (share if curve is None else speech.share(acting.rest))
-    return Intensities(saliency, network, holds, voice, share, predicted, whole * share, scale)
+    applied = whole * share
+    return Intensities(saliency, network, holds, voice, felt, share, predicted, applied, scale)

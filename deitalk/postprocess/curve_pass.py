@@ -68,6 +68,7 @@ class Voice(NamedTuple):
     back: Tensor
     kept: Tensor
     side: Tensor
+    felt: Tensor
     emotion: Tensor
     """[shape=(B, T, 9)]."""
     variants: Tensor
@@ -81,7 +82,7 @@ class Voice(NamedTuple):
 
     @classmethod
     def of(cls, columns: Tensor) -> "Voice":
-        """Split columns (B, T, 43)."""
+        """Split columns (B, T, 44)."""
         sizes = [VOICE - len(LABELS) - N_VARIANTS, len(LABELS), N_VARIANTS]
         single, emotion, variants = torch.split(columns, sizes, dim=-1)
         tracks = [single[..., k, None, None] for k in range(sizes[0])]
@@ -148,7 +149,7 @@ class CurvePass(nn.Module):
     def first(self, batch: int) -> Tensor:
         """A face at rest, the state before the first frame.
 
-        [shape=(B, N, 2 C + 43)]: the pose that a held sound keeps, then the last frames.
+        [shape=(B, N, 2 C + 44)]: the pose that a held sound keeps, then the last frames.
         """
         return self.before.expand(batch, -1, -1).clone()
 
@@ -175,7 +176,7 @@ class CurvePass(nn.Module):
         ----------
         neutral, emotional : Tensor [shape=(B, T, C)]
             Two readings of the same speech, as the network gives them.
-        voice : Tensor [shape=(B, T, 43)]
+        voice : Tensor [shape=(B, T, 44)]
             What voice and acting say of the same frames: `tracks.VoiceTracks`.
         shown : Tensor [shape=(B, T, 2 + 43)]
             Gates and motion of the frames that come *out*: `tracks.shown_columns`.
@@ -183,7 +184,7 @@ class CurvePass(nn.Module):
             Factor on the distance of each control from rest.
         ruled : Tensor [shape=(B,)]
             1 for streams with rules; 0 for the network alone, with its motion if there is any.
-        state : Tensor [shape=(B, N, 2 C + 43)]
+        state : Tensor [shape=(B, N, 2 C + 44)]
             From `first`, or of the call before.
 
         Returns
@@ -220,8 +221,6 @@ class CurvePass(nn.Module):
         curves = self.seals.put(raw, self.around.middle(contacts))
         curves = self.meet_phones(curves, closed - likely, said.funnel, said.purse)
         curves = self.tongue_out(curves, near.tongue, 1 - closed)
-        # The mouth opens as the voice is strong, where lips do not meet.
-        curves = self.open_mouth(curves, 1 - closed, said.opening)
         # The expression is the difference of the readings, scaled; it parts no closed lips.
         free = 1 - closed[:, :, :1]
         curves = self.blend(curves, free, said.scale)
@@ -231,6 +230,9 @@ class CurvePass(nn.Module):
         strength, missing = ((said.scale * held).squeeze(-1) for held in (least, least - said.held))
         slow = 1 - closing.unsqueeze(-1)
         curves = self.express(curves, said.ways, said.emotion, strength, missing, free, slow, mouth)
+        # The mouth opens as voice and emotion are strong, where lips do not meet.
+        shown = strength * (1 - said.emotion[..., :1])
+        curves = self.open_mouth(curves, free, said.opening, said.felt, shown)
         curves = self.rest_lips(curves)
         # Lips start to close earlier and part later; what is hardly open is shut.
         limited = self.limit_speed(self.blend.contacts(contacts, near.scale))

@@ -238,16 +238,37 @@ class MeetPhones(nn.Module):
 
 
 class OpenMouth(nn.Module):
-    """The mouth opened by a factor where lips do not meet."""
+    """The mouth opened by a factor where lips do not meet; in an emotion by its strength too."""
 
     def __init__(self, rule: ScaleOpening | None, groups: ControlGroups, size: int) -> None:
         super().__init__()
         self.rule, self.lively = rule, Columns(groups.lively, size)
 
-    def forward(self, curves: Tensor, free: Tensor, opening: Tensor) -> Tensor:
-        """Curves by the factor (B, T, 1, 1), as far as lips are `free` (B, T, R)."""
+    def forward(
+        self, curves: Tensor, free: Tensor, opening: Tensor, felt: Tensor, shown: Tensor
+    ) -> Tensor:
+        """Open the mouth.
+
+        More expression moves the shown reading one way: further where the emotion is strong in the
+        voice, back where it is weak.
+
+        Parameters
+        ----------
+        curves : Tensor [shape=(B, T, R, C)]
+            Both readings.
+        free : Tensor [shape=(B, T, 1), range 0 to 1]
+            How far the lips of the neutral one do not meet.
+        opening : Tensor [shape=(B, T, 1, 1)]
+            Factor on both readings.
+        felt : Tensor [shape=(B, T, 1, 1), range 0 to 1.2]
+            Intensity of the emotion in the voice.
+        shown : Tensor [shape=(B, T, 1), range 0 to 4]
+            Intensity to show of emotions other than neutral.
+        """
         if self.rule is None:
             return curves
+        more = self.rule.shown * shown.clamp_max(1).unsqueeze(-1) * (felt - self.rule.middle)
+        opening = torch.cat((opening, opening * (1 + more)), dim=2)
         return curves * (1 + (opening - 1) * free.unsqueeze(-1) * self.lively.mask)
 
 

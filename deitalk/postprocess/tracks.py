@@ -14,7 +14,7 @@ from deitalk.emotions.variants import EMOTION_OF
 from rig.arrays import Float32
 
 N_VARIANTS = len(EMOTION_OF)
-VOICE = 10 + len(LABELS) + N_VARIANTS
+VOICE = 11 + len(LABELS) + N_VARIANTS
 """Columns of `VoiceTracks`."""
 GATES = 2
 """Columns of the gates in `shown_columns`."""
@@ -41,11 +41,13 @@ class VoiceTracks(NamedTuple):
     """Weights of their variants [shape=(T, 24)]; 0: the pose of the emotion itself."""
     side: Array
     """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
+    felt: Array
+    """Intensity of the emotion in the voice [shape=(T,), range 0 to 1.2]."""
 
     def columns(self) -> Array:
-        """All of them side by side [shape=(T, 43)]."""
+        """All of them side by side [shape=(T, 44)]."""
         factors = library(self.scale).stack((self.scale, self.opening, self.held), axis=-1)
-        singles = [single(part) for part in (self.back, self.kept, self.side)]
+        singles = [single(part) for part in (self.back, self.kept, self.side, self.felt)]
         kept = library(self.scale).stack(singles, axis=-1)
         columns = factors, self.phones, kept, self.emotion, self.variants
         return join([single(part) for part in columns], -1)
@@ -101,7 +103,7 @@ def rest_rows(rest: Float32, window: int) -> Float32:
     """State of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
 
     Both readings and the columns of `VoiceTracks`, of the pose that a held sound keeps and of the
-    last frames, `window` that contacts see or more [shape=(N, 2 C + 43)].
+    last frames, `window` that contacts see or more [shape=(N, 2 C + 44)].
     """
     count = 1 + max(window, POSE_FRAMES)
     ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 3))

@@ -58,10 +58,14 @@ class Stages(ControlGroups):
         free = 1 - self.rules.closure(rows[..., self.seals])
         curves[:] = self.rules.tongue_out(rows, near, free)[0, :, 0].numpy()
 
-    def scale_opening(self, curves, factor):
+    def scale_opening(self, curves, factor, felt=0.0, intensity=0.0):
+        """Curves by the factor, in place; of an emotion, those that are shown."""
         rows = both(curves, curves)
-        closed = self.rules.closure(rows[..., self.seals])
-        curves[:] = self.rules.open_mouth(rows, 1 - closed, track(factor))[0, :, 0].numpy()
+        closed = self.rules.closure(rows[:, :, :1, self.seals])
+        felt, shown = (track(np.broadcast_to(x, len(curves))) for x in (felt, intensity))
+        found = self.rules.open_mouth(rows, 1 - closed, track(factor), felt, shown[..., 0])[0]
+        curves[:] = found[:, 0].numpy()
+        return found[:, 1].numpy()
 
     def rest_in_silence(self, curves, neutral, mouth, expression):
         found = self.rules.gate(both(neutral, curves), track(mouth), track(expression))[0].numpy()

@@ -197,7 +197,7 @@ def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=
     weights = np.eye(len(LABELS), dtype=np.float32)[[LABELS.index(emotion)] * n_frames]
     phones = np.zeros((n_frames, 4), np.float32)
     free, variants = 0 * ones, np.zeros((n_frames, N_VARIANTS))
-    said = scale * ones, ones, held * ones, phones, weights, free, free, variants, ones
+    said = scale * ones, ones, held * ones, phones, weights, free, free, variants, ones, ones
     voice = VoiceTracks(*said).columns()
     gate = ones if mouth is None else mouth
     curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)

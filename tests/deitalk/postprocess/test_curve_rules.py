@@ -266,6 +266,21 @@ def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
 
 
+@pytest.mark.parametrize(("felt", "way"), [(1.15, 1), (0.45, -1), (OPENS.middle, 0)])
+def test_an_emotion_opens_the_mouth_by_its_strength_one_way_and_contacts_stay(felt, way):
+    factor, opened = np.full(3, 1.1, np.float32), []
+    for intensity in (0, 0.5, 1, 2):
+        curves = half_open()
+        opened.append(RULES.scale_opening(curves, factor, felt, intensity)[:, JAW])
+        np.testing.assert_allclose(curves[:, JAW], [0.44, 0.44, 0.4], rtol=1e-5)
+    more = 1 + OPENS.shown * (felt - OPENS.middle)
+    assert np.sign(more - 1) == way
+    np.testing.assert_allclose(opened[0], [0.44, 0.44, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(opened[1], [0.22 * (1 + more)] * 2 + [0.4], rtol=1e-5)
+    for shown in opened[2:]:
+        np.testing.assert_allclose(shown, [0.44 * more, 0.44 * more, 0.4], rtol=1e-5)
+
+
 def test_the_opening_follows_the_speech_around_a_frame_and_no_syllable(rng):
     """Between two even stretches of speech the mean is between theirs; silence does not count."""
     speaking = np.ones(400, bool)
