@@ -13,7 +13,7 @@ FADE = {"upper": (3.0, 0.50), "lower": (5.5, 0.46)}
 """Of each lip: blur of its outline, texels, and the value of the blurred outline at its end."""
 WARM = np.array([1.09, 1.09, 1.05])
 """Factor on the person's ``lip``: the picture has a shadow on them."""
-LINES = ((0.030, 0.026), (0.075, 0.032), (0.19, 0.022))
+LINES = ((0.030, 0.026), (0.075, 0.032), (0.19, 0.012))
 """Widths of the lines across the lips, cm, and how much each varies the colour."""
 
 
@@ -65,11 +65,11 @@ def painted(colour, bare, mask, place, person):
     lip = lip * (1 - (above * (1 - wet[:, 0]))[:, None] * [0.01, 0.02, 0.01])
     across = at[:, 0] * (1 - 0.10 * from_rim)
     lines = sum(a * _rows(across / w, from_rim / (5 * w), 60 + k) for k, (w, a) in enumerate(LINES))
-    deep = np.clip(_rows(across / 0.05, from_rim / 0.5, 70) - 0.9, 0, 1.5)
-    lip = lip * (1 + lines - 0.10 * deep)[:, None]
+    deep = np.clip(_rows(across / 0.05, from_rim / 0.5, 73) - 0.9, 0, 1.5)
+    lip = lip * (1 + lines - 0.06 * deep)[:, None]
     roll = np.exp(-(((share / STRENGTH - 0.12) / 0.12) ** 2)) * above * np.exp(-((x / 1.2) ** 2))
     below = bare[near] * (1 + 0.05 * roll)[:, None]
-    hidden = np.clip(3 * mask[near], 0, 1) * smooth((from_rim - 0.2) / 0.2)
+    hidden = np.clip(5 * gaussian_filter(mask, 6)[near], 0, 1) * smooth((from_rim - 0.2) / 0.2)
     out = colour.copy()
     skin = colour[near] + hidden[:, None] * (below - colour[near])
     out[near] = skin + share[:, None] * (lip - skin)

@@ -419,7 +419,7 @@ def _light(base, shapes, person, joined, picture):
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
-    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.85, 0.6]),
+    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.72, 0.5]),
                         ("tongue", [0.9, 0.72])):  # fmt: skip
         own = joined.slices[part]
         light[own] = np.maximum(light[own], least) * (depth[own] * _front(x[own]))[:, None]

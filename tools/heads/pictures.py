@@ -160,7 +160,7 @@ def skin(base, person):
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
     ears = (look["flush"] * is_ear(place))[..., None]
     colour = colour * (1 - ears * [0.0, 0.10, 0.09])
-    colour = lips_of.painted(colour, plain + 0.45 * fine, mask, place, person)
+    colour = lips_of.painted(colour, plain + 0.3 * fine, mask, place, person)
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in

@@ -56,8 +56,8 @@ ROWS = {
         -1, (0.53, 0.58, 0.68, 0.70, 0.71, 1.08, 1.05), (0.86, 0.88, 1.0, 0.84, 0.8, 0.74, 0.7),
         (0.0, 0.01, -0.02, 0.05, 0.08, 0.1, 0.1), (0.11, 0.11, 0.18, 0.5, 0.55, 0.8, 0.8),
         (0.04, 0.05, 0.05, 0.05, 0.05, 0.04, 0.04), (0, 0, 0.08, 0.06, 0.05, 0.05, 0.05), (1, 1, 1, 1, 1, 2, 2),
-        0.34, ((0, 0), (0.3, -0.01), (0.6, -0.06), (1.0, -0.2), (1.45, -0.55), (1.83, -1.1), (2.08, -1.75),
-               (2.3, -2.6), (2.46, -3.6), (2.5, -5.2)), 0.12, 0.03,
+        0.34, ((0, 0), (0.3, -0.005), (0.65, -0.04), (1.1, -0.15), (1.55, -0.47), (1.93, -1.02), (2.18, -1.7),
+               (2.38, -2.6), (2.5, -3.6), (2.54, -5.2)), 0.12, 0.03,
     ),
 }  # fmt: skip
 _LINES = {
@@ -70,6 +70,8 @@ _LINES = {
 _CROWN = {"neck": (0.02, 0.0), "bulge": (0.2, 0.055), "middle": (0.45, 0.065), "cut": (0.7, 0.045),
           "low": (0.88, 0.01), "tip": (0.97, -0.03), "edge": (1.0, -0.07)}  # fmt: skip
 """Lines of the crown's front: way from gum to edge, and how far they stand out, cm."""
+ENAMEL = {"upper": (1.0, 0.985, 0.97), "lower": (0.90, 0.86, 0.82)}
+"""Factor on the person's colour of teeth: the lower row is in the shadow of the upper one."""
 _SHOWN = (1.5, 1.4, 1.3, 1.0, 0.8, 0.55, 0.45)
 """Share of the picture that each tooth takes, for its width."""
 
@@ -214,7 +216,7 @@ def _painted(name, look):
     v = ((v - 2 * _MARGIN) / (1 - 4 * _MARGIN))[:, None]
     # Enamel: warm by the gum, clear and cooler at the edge, each tooth a little its own.
     way = np.clip((v - _LINES["margin"]) / (_LINES["edge"] - _LINES["margin"]), 0, 1)
-    enamel = np.array(look.get("enamel", (0.93, 0.885, 0.81)))
+    enamel = np.array(look.get("enamel", (0.93, 0.885, 0.81))) * ENAMEL[name]
     yellow = np.array([0.0, 0.01, 0.06, 0.035, 0.03, 0.03, 0.03])[place]
     yellow = yellow + np.abs(rng.normal(0, 0.008, 14))[tooth]
     colour = enamel * (1 - yellow[:, None] * [0.35, 0.9, 1.7])
@@ -224,7 +226,7 @@ def _painted(name, look):
     lobes = gaussian_filter(rng.normal(size=(half, PICTURE)), (20, 3), mode="nearest")
     colour = colour * (1 + 0.012 * lobes / lobes.std())[..., None]
     contact = np.exp(-(((1 - far) / 0.055) ** 2)) + 0.3 * np.exp(-(((1 - far) / 0.22) ** 2))
-    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.24, 0.36, 0.42])
+    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.20, 0.31, 0.37])
     by_gum = np.exp(-((np.maximum(v - _LINES["margin"], 0) / 0.02) ** 2))[..., None]
     colour = colour * (1 - by_gum * [0.20, 0.34, 0.36])
     fissure = np.exp(-(((v - _LINES["fissure"]) / 0.018) ** 2)) * (place > 2)
