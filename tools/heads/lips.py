@@ -1,4 +1,4 @@
-"""Colour of the lips: it fades into the skin, has fine lines across, and is darkest where lips meet."""
+"""Colour of mouth and lips: these fade into the skin, have fine lines across and are redder within."""
 
 import numpy as np
 from PIL import Image
@@ -13,6 +13,8 @@ FADE = {"upper": (3.0, 0.50), "lower": (5.5, 0.46)}
 """Of each lip: blur of its outline, texels, and the value of the blurred outline at its end."""
 WARM = np.array([1.09, 1.09, 1.05])
 """Factor on the person's ``lip``: the picture has a shadow on them."""
+MUCOSA = (0.80, 0.42, 0.385)
+"""Colour of the inside of the mouth."""
 LINES = ((0.030, 0.026), (0.075, 0.032), (0.19, 0.012))
 """Widths of the lines across the lips, cm, and how much each varies the colour."""
 
@@ -39,9 +41,10 @@ def painted(colour, bare, mask, place, person):
     person : Person
     """
     shapes, look = person.shapes, person.look
-    near = gaussian_filter(mask, 8) > 0.01
+    count, inside = person.base.n_skin, shapes.inside()
+    low, high = (end(shapes.average[:count][inside], 0) for end in (np.min, np.max))
+    near = (gaussian_filter(mask, 8) > 0.01) | ((place > low) & (place < high)).all(-1)
     at = place[near]
-    count = person.base.n_skin
     far, ids = cKDTree(shapes.average[:count]).query(at, k=4)
     weight = 1 / (far + 0.01) ** 2
     weight /= weight.sum(1, keepdims=True)
@@ -69,9 +72,12 @@ def painted(colour, bare, mask, place, person):
     lip = lip * (1 + lines - 0.06 * deep)[:, None]
     roll = np.exp(-(((share / STRENGTH - 0.12) / 0.12) ** 2)) * above * np.exp(-((x / 1.2) ** 2))
     below = bare[near] * (1 + 0.05 * roll)[:, None]
+    flesh = np.array(look.get("mucosa", MUCOSA)) * (1 + lines)[:, None]
+    within = smooth(2 * (inside[ids] * weight).sum(1) - 0.5)[:, None]
     hidden = np.clip(5 * gaussian_filter(mask, 6)[near], 0, 1) * smooth((from_rim - 0.2) / 0.2)
     out = colour.copy()
     skin = colour[near] + hidden[:, None] * (below - colour[near])
+    skin = skin + within * (flesh - skin)
     out[near] = skin + share[:, None] * (lip - skin)
     return out
 

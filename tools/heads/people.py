@@ -12,7 +12,8 @@ root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
-noise and ``flesh`` the colour of the corners of the eyes. ``brow_hairs`` are how dense the hairs of
+noise and ``flesh`` the colour of the corners of the eyes; ``lip`` is a factor on the picture's mean colour
+of lips, ``enamel``, ``gum`` and ``mucosa`` are colours in the mouth (0 to 1). ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are.
 """
 
@@ -76,7 +77,7 @@ PEOPLE = {
         "skin": "young_african_male/textures/young_darkskinned_male_diffuse.png",
         "shine": 0.12, "hair_colour": (30, 26, 23),
         "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.0, 0.35), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
-        "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "white": (0.64, 0.60, 0.55),
+        "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.64, 0.60, 0.55),
         "drawing": 0.55, "mottle": 0.75, "gain": 0.80, "saturation": 1.0, "flush": 0.3, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
         "lashes": 0.4,
         "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.8, "hairs": 26, "thick": (3.0, 6.0), "locks": 2, "gather": 0.0,
