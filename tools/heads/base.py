@@ -74,7 +74,9 @@ def halved(faces, count):
                            (len(k), count))  # fmt: skip
     ab, bc, ca = count + inverse.reshape(-1, 3).T
     a, b, c = faces.T
-    new = np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    new = np.concatenate(
+        [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    )
     return sp.vstack([sp.eye(count), middle]).tocsr(), new
 
 

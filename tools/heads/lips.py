@@ -52,7 +52,9 @@ def painted(colour, bare, mask, place, person):
     above = smooth(0.5 + ((shapes.away[1] - shapes.away[0])[ids] * weight).sum(1) / 0.3)
     x = np.abs(at[:, 0])
     # The outline, softer below, a little uneven as skin's is.
-    uneven = _rows(at[:, 0] / 0.16, at[:, 1] / 0.16, 51) + _rows(at[:, 0] / 0.06, at[:, 1] / 0.1, 52)
+    uneven = _rows(at[:, 0] / 0.16, at[:, 1] / 0.16, 51) + _rows(
+        at[:, 0] / 0.06, at[:, 1] / 0.1, 52
+    )
     share = np.zeros(len(at))
     for lip, part in (("upper", above), ("lower", 1 - above)):
         blur, end = FADE[lip]

@@ -55,6 +55,8 @@ PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tong
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
 TONGUE = (0.95, 0.9, 0.88)
 """Colour of the tongue over its picture."""
+CORRIDOR = {"teeth_upper": (1.15, 1.5), "teeth_lower": (1.0, 1.3)}
+"""Distance from the middle where the shadow of the cheeks on teeth begins, and over what way, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -298,7 +300,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         kind[where] = KINDS.get(part, PLAIN)
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
-        front = _front(joined.points[slices[part]])
+        front = _front(joined.points[slices[part]], *CORRIDOR[part])
         colour[slices[part]] = front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
@@ -310,6 +312,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     within = smooth(hair.high / 0.8)
     gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])
     gloss[slices["skin"]] += lips.gloss(shapes.average[: base.n_skin])
+    gloss[slices["skin"]] *= 1 - 0.5 * shapes.inside()
     for center, radius in person.eyes:  # the wet rims of lids
         off = person.skin - center
         rim = np.exp(-(((np.linalg.norm(off, axis=1) / radius - 1.03) / 0.04) ** 2))
@@ -367,9 +370,9 @@ def _blink(base, shapes, person):
     return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
 
 
-def _front(points):
+def _front(points, begin=1.15, over=1.5):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.72 * pictures._smooth((np.abs(points[:, 0]) - 1.15) / 1.5)
+    return 1 - 0.75 * pictures._smooth((np.abs(points[:, 0]) - begin) / over)
 
 
 def _corner_light(shapes, person):
@@ -431,6 +434,9 @@ def _light(base, shapes, person, joined, picture):
                            & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
                            & (high > -2.4) & (high < np.where(far < front - 5, 4.6, 2.4)))  # fmt: skip
     light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
+    cheek = np.flatnonzero(shapes.inside() & (contact > 0.25))  # folded: neighbours have one light
+    near = cKDTree(x[cheek]).query(x[cheek], k=30)[1]
+    light[cheek] = np.minimum(light[cheek][near].mean(1), [0.34, 0.2])
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]

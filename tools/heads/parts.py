@@ -79,7 +79,7 @@ class Person:
         return state[self.base.at(f"helper-{s}-eye")].mean(0)
 
     def _parts(self):
-        base, found = self.base, {}
+        found = {}
         for name, (center, radius), sign in zip(
             ("eye_L", "eye_R"), self.eyes, (1, -1), strict=True
         ):

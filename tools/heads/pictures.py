@@ -166,7 +166,7 @@ def skin(base, person):
     detail = sum(a * _cloud(place, w, s) for a, w, s in
                  ((0.026, 0.03, 1), (0.022, 0.07, 2), (0.016, 0.2, 3), (0.016, 0.8, 4)))  # fmt: skip
     blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
-    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
+    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))

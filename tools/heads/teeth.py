@@ -169,12 +169,18 @@ def grid(name, seed):
     is_broad = np.clip((thick - 0.25) / 0.25, 0, 1)
     line("fissure", edge + 0.10 * is_broad * (1 - 0.3 * far**2), tip - 0.5 * thick)
     line("inner", edge + 0.02 + 0.03 * is_broad, tip - thick + 0.02 * far**2)
-    line("back", 0.55 * edge + 0.45 * margin, tip - thick - 0.10 - 0.06 * (1 - is_broad) + 0.05 * far**4)
+    line(
+        "back",
+        0.55 * edge + 0.45 * margin,
+        tip - thick - 0.10 - 0.06 * (1 - is_broad) + 0.05 * far**4,
+    )
     line("inside", margin, tip - thick - 0.10 - 0.2 * (1 - is_broad) + 0.08 * far**4)
     line("base", margin.mean() + 0.25 + 0 * far, tip - thick - 0.35)
     assert list(lines) == list(_LINES)[: len(lines)]
     points = [
-        np.stack([place[:, 0] + o * outward[:, 0], row.root * r, place[:, 1] + o * outward[:, 1]], 1)
+        np.stack(
+            [place[:, 0] + o * outward[:, 0], row.root * r, place[:, 1] + o * outward[:, 1]], 1
+        )
         for r, o in lines.values()
     ]
     for share, more in ((0.5, 0.55), (0.0, 0.75)):  # palate, or floor below the tongue
