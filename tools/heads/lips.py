@@ -74,9 +74,12 @@ def painted(colour, bare, mask, place, person):
     lip = lip * (1 + lines - 0.06 * deep)[:, None]
     roll = np.exp(-(((share / STRENGTH - 0.12) / 0.12) ** 2)) * above * np.exp(-((x / 1.2) ** 2))
     below = bare[near] * (1 + 0.05 * roll)[:, None]
-    flesh = np.array(look.get("mucosa", MUCOSA)) * (1 + lines)[:, None]
+    flesh = np.array(look.get("mucosa", MUCOSA))
     within = smooth(2 * (inside[ids] * weight).sum(1) - 0.5)[:, None]
-    hidden = np.clip(5 * gaussian_filter(mask, 6)[near], 0, 1) * smooth((from_rim - 0.2) / 0.2)
+    is_unused = far[:, 0] > 0.3  # texels of no point
+    share[is_unused] = STRENGTH
+    hidden = np.clip(5 * gaussian_filter(mask, 6)[near], 0, 1) * ~is_unused
+    hidden *= smooth((from_rim - 0.2) / 0.2)
     out = colour.copy()
     skin = colour[near] + hidden[:, None] * (below - colour[near])
     skin = skin + within * (flesh - skin)

@@ -27,7 +27,9 @@ class Row:
     `width` is along the arch and `height` from the gum to the edge in the middle of a tooth; `edge`
     is how far that edge stands back towards the root, `thick` the edge's thickness, `round` how far
     the edge's corners stand back, `point` how far a point stands over its sides, `cusps` how many
-    there are on the cheek's side. `arch` has places (x, z) of the crowns' fronts.
+    there are on the cheek's side. `root` is 1 where roots point up, else -1; `papilla` how far the
+    gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how far
+    the gum recedes, `crowded` the deviation of single teeth from the arch.
     """
 
     root: int
@@ -46,18 +48,26 @@ class Row:
 
 ROWS = {
     "upper": Row(
-        1, (0.86, 0.67, 0.77, 0.70, 0.68, 0.98, 0.95), (1.02, 0.90, 1.02, 0.86, 0.80, 0.76, 0.70),
-        (0.0, 0.075, 0.02, 0.11, 0.17, 0.24, 0.34), (0.13, 0.13, 0.2, 0.56, 0.6, 0.8, 0.8),
-        (0.07, 0.09, 0.05, 0.05, 0.05, 0.04, 0.04), (0, 0, 0.13, 0.08, 0.06, 0.05, 0.05), (1, 1, 1, 1, 1, 2, 2),
-        0.38, ((0, 0), (0.45, -0.015), (0.85, -0.07), (1.3, -0.22), (1.72, -0.56), (2.08, -1.1), (2.32, -1.75),
-               (2.5, -2.6), (2.6, -3.6), (2.6, -5.2)), 0.16, 0.012,
+        root=1, papilla=0.38, lean=0.16, crowded=0.012,
+        width=(0.86, 0.67, 0.77, 0.70, 0.68, 0.98, 0.95),
+        height=(1.02, 0.90, 1.02, 0.86, 0.80, 0.76, 0.70),
+        edge=(0.0, 0.075, 0.02, 0.11, 0.17, 0.24, 0.34),
+        thick=(0.13, 0.13, 0.2, 0.56, 0.6, 0.8, 0.8),
+        round=(0.07, 0.09, 0.05, 0.05, 0.05, 0.04, 0.04),
+        point=(0, 0, 0.13, 0.08, 0.06, 0.05, 0.05), cusps=(1, 1, 1, 1, 1, 2, 2),
+        arch=((0, 0), (0.45, -0.015), (0.85, -0.07), (1.3, -0.22), (1.72, -0.56), (2.08, -1.1),
+              (2.32, -1.75), (2.5, -2.6), (2.6, -3.6), (2.6, -5.2)),
     ),
     "lower": Row(
-        -1, (0.53, 0.58, 0.68, 0.70, 0.71, 1.08, 1.05), (0.86, 0.88, 1.0, 0.84, 0.8, 0.74, 0.7),
-        (0.0, 0.01, -0.02, 0.05, 0.08, 0.1, 0.1), (0.11, 0.11, 0.18, 0.5, 0.55, 0.8, 0.8),
-        (0.04, 0.05, 0.05, 0.05, 0.05, 0.04, 0.04), (0, 0, 0.08, 0.06, 0.05, 0.05, 0.05), (1, 1, 1, 1, 1, 2, 2),
-        0.34, ((0, 0), (0.3, -0.005), (0.65, -0.04), (1.1, -0.15), (1.55, -0.47), (1.93, -1.02), (2.18, -1.7),
-               (2.38, -2.6), (2.5, -3.6), (2.54, -5.2)), 0.12, 0.03,
+        root=-1, papilla=0.34, lean=0.12, crowded=0.03,
+        width=(0.53, 0.58, 0.68, 0.70, 0.71, 1.08, 1.05),
+        height=(0.86, 0.88, 1.0, 0.84, 0.8, 0.74, 0.7),
+        edge=(0.0, 0.01, -0.02, 0.05, 0.08, 0.1, 0.1),
+        thick=(0.11, 0.11, 0.18, 0.5, 0.55, 0.8, 0.8),
+        round=(0.04, 0.05, 0.05, 0.05, 0.05, 0.04, 0.04),
+        point=(0, 0, 0.08, 0.06, 0.05, 0.05, 0.05), cusps=(1, 1, 1, 1, 1, 2, 2),
+        arch=((0, 0), (0.3, -0.005), (0.65, -0.04), (1.1, -0.15), (1.55, -0.47), (1.93, -1.02),
+              (2.18, -1.7), (2.38, -2.6), (2.5, -3.6), (2.54, -5.2)),
     ),
 }  # fmt: skip
 _LINES = {
@@ -88,7 +98,8 @@ class Columns:
         self.place = np.abs(self.tooth - count + 0.5).astype(int)
         """Number of the tooth from the middle, 0 the first incisor."""
         self.side = np.where(self.tooth < count, -1, 1)
-        self.edge_way = np.abs(self.across)
+        self.aside = np.abs(self.across)
+        """0 in the middle of the tooth, 1 at its contacts."""
 
     def of(self, values):
         """A value of each tooth, at contacts the mean of both neighbours'."""
@@ -98,7 +109,7 @@ class Columns:
         right = np.insert(mean, 0, both[0])[self.tooth]
         left = np.append(mean, both[-1])[self.tooth]
         beside = np.where(self.across < 0, right, left)
-        return both[self.tooth] + (beside - both[self.tooth]) * self.edge_way**6
+        return both[self.tooth] + (beside - both[self.tooth]) * self.aside**6
 
     def along(self, values):
         """Sum of a width of each tooth from the middle to the columns, to the left positive."""
@@ -134,7 +145,7 @@ def grid(name, seed):
     row = ROWS[name]
     columns = Columns(row)
     rng = np.random.default_rng(seed)
-    q, far = columns.across, columns.edge_way
+    q, far = columns.across, columns.aside
     away = q * columns.side  # 1 at the contact that is farther from the middle
     count = 2 * len(row.width)
     turned, pushed, longer = rng.normal(0, row.crowded, (3, count))[:, columns.tooth]
@@ -161,10 +172,10 @@ def grid(name, seed):
     line("attached", margin + 0.22, -0.015 + root_bulge + 0.5 * out)
     line("free", margin + 0.05, 0.02 + 0.7 * root_bulge + 0.8 * out - 0.3 * groove)
     line("margin", margin - 0.015, 0.005 + out - 0.4 * groove)
-    for name_, (way, more) in _CROWN.items():
+    for crown, (way, more) in _CROWN.items():
         root = margin + (edge - margin) * way
         notch = groove * (0.5 + 0.9 * way**2)
-        line(name_, root, out + more - notch)
+        line(crown, root, out + more - notch)
     tip = lines["edge"][1]
     is_broad = np.clip((thick - 0.25) / 0.25, 0, 1)
     line("fissure", edge + 0.10 * is_broad * (1 - 0.3 * far**2), tip - 0.5 * thick)
@@ -212,15 +223,22 @@ def picture(look):
 
 
 def _painted(name, look):
-    row, rng = ROWS[name], np.random.default_rng(look["iris"])
-    fine = Columns(row, np.linspace(-1, 1, 65)[:-1])
-    u = (np.arange(PICTURE) + 0.5) / PICTURE
-    at = np.clip(np.searchsorted(fine.places(), u), 0, len(fine.across) - 1)
-    far, place, tooth = fine.edge_way[at], fine.place[at], fine.tooth[at]
-    half = PICTURE // 2
+    """One row (256, 512, 3)."""
+    half, rng = PICTURE // 2, np.random.default_rng(look["iris"])
     v = (np.arange(half) + 0.5) / half
     v = ((v - 2 * _MARGIN) / (1 - 4 * _MARGIN))[:, None]
-    # Enamel: warm by the gum, clear and cooler at the edge, each tooth a little its own.
+    enamel, gum = _enamel(name, look, v, rng), _gum(look, v, rng)
+    is_gum = 1 / (1 + np.exp((v - _LINES["margin"]) / 0.004))
+    is_gum = is_gum + 1 / (1 + np.exp((_LINES["inside"] - v) / 0.006))
+    return np.clip(enamel + np.clip(is_gum, 0, 1)[..., None] * (gum - enamel), 0, 1)
+
+
+def _enamel(name, look, v, rng):
+    """Warm by the gum, clear and cooler at the edge, each tooth a little its own."""
+    columns = Columns(ROWS[name], np.linspace(-1, 1, 65)[:-1])
+    u = (np.arange(PICTURE) + 0.5) / PICTURE
+    at = np.clip(np.searchsorted(columns.places(), u), 0, len(columns.across) - 1)
+    far, place, tooth = columns.aside[at], columns.place[at], columns.tooth[at]
     way = np.clip((v - _LINES["margin"]) / (_LINES["edge"] - _LINES["margin"]), 0, 1)
     enamel = np.array(look.get("enamel", (0.93, 0.885, 0.81))) * ENAMEL[name]
     yellow = np.array([0.0, 0.01, 0.06, 0.035, 0.03, 0.03, 0.03])[place]
@@ -229,7 +247,7 @@ def _painted(name, look):
     colour = colour * (1 - (1 - way[..., None]) ** 1.8 * [0.07, 0.13, 0.22])
     clear = np.clip((way - 0.80) / 0.2, 0, 1)[..., None] * (place < 3)[:, None]
     colour = colour * (1 - clear * [0.13, 0.10, 0.06])
-    lobes = gaussian_filter(rng.normal(size=(half, PICTURE)), (20, 3), mode="nearest")
+    lobes = gaussian_filter(rng.normal(size=(len(v), PICTURE)), (20, 3), mode="nearest")
     colour = colour * (1 + 0.012 * lobes / lobes.std())[..., None]
     contact = np.exp(-(((1 - far) / 0.055) ** 2)) + 0.3 * np.exp(-(((1 - far) / 0.22) ** 2))
     colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.20, 0.31, 0.37])
@@ -238,8 +256,11 @@ def _painted(name, look):
     fissure = np.exp(-(((v - _LINES["fissure"]) / 0.018) ** 2)) * (place > 2)
     colour = colour * (1 - fissure[..., None] * [0.28, 0.36, 0.42])
     inner = np.clip((v - _LINES["inner"]) / 0.08, 0, 1)[..., None]
-    colour = colour * (1 - inner * [0.26, 0.34, 0.38])
-    # Gums: pale and firm by the teeth, red and loose above.
+    return colour * (1 - inner * [0.26, 0.34, 0.38])
+
+
+def _gum(look, v, rng):
+    """Pale and firm by the teeth, red and loose above."""
     gum = np.array(look.get("gum", (0.80, 0.50, 0.475)))
     loose = np.clip((_LINES["attached"] - v) / _LINES["attached"], 0, 1)[..., None] ** 0.8
     flesh = gum * (1 - loose * [0.16, 0.36, 0.34])
@@ -247,8 +268,5 @@ def _painted(name, look):
     flesh = flesh * (1 - inside * [0.15, 0.25, 0.25])
     edge = np.exp(-(((v - _LINES["margin"] + 0.01) / 0.02) ** 2))[..., None]
     flesh = flesh * (1 - edge * [0.05, 0.14, 0.13])
-    spots = gaussian_filter(rng.normal(size=(half, PICTURE)), 1.6, mode="nearest")
-    flesh = flesh * (1 + 0.03 * spots / spots.std())[..., None]
-    is_gum = 1 / (1 + np.exp((v - _LINES["margin"]) / 0.004))
-    is_gum = is_gum + 1 / (1 + np.exp((_LINES["inside"] - v) / 0.006))
-    return np.clip(colour + np.clip(is_gum, 0, 1)[..., None] * (flesh - colour), 0, 1)
+    spots = gaussian_filter(rng.normal(size=(len(v), PICTURE)), 1.6, mode="nearest")
+    return flesh * (1 + 0.03 * spots / spots.std())[..., None]
