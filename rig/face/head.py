@@ -49,7 +49,7 @@ MOUTH = ("teeth_upper", "teeth_lower", "tongue")
 """Parts in the mouth, in their order."""
 MOUTH_LIGHT = 0.45
 """Most baked light of skin in the mouth."""
-MOUTH_REACH = np.array([[0.6, 1.0, 4.0], [0.6, 1.5, 0.0]])
+MOUTH_REACH = np.array([[1.0, 2.5, 4.0], [1.0, 1.8, 0.0]])
 """How far it reaches below and above the box of the parts in it, cm."""
 BATCH, FEW, MANY = 64, 16, 16
 """Frames that are posed together; of these, those whose sums of shapes stay in the cache; weights a

@@ -65,6 +65,33 @@ def catmull_clark(quads, count):
     return sp.vstack([point, edge, face]).tocsr(), np.stack(new, 1).reshape(-1, 4)
 
 
+def halved(faces, count):
+    """One step of midpoint subdivision of triangles: matrix (new, old) of points, and new faces."""
+    sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
+    edges, inverse = np.unique(sides, axis=0, return_inverse=True)
+    k = np.arange(len(edges))
+    middle = sp.coo_matrix((np.full(2 * len(k), 0.5), (np.repeat(k, 2), edges.ravel())),
+                           (len(k), count))  # fmt: skip
+    ab, bc, ca = count + inverse.reshape(-1, 3).T
+    a, b, c = faces.T
+    new = np.concatenate(
+        [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    )
+    return sp.vstack([sp.eye(count), middle]).tocsr(), new
+
+
+def averaged(faces, count):
+    """Matrix (count, count) of Loop's averages (1987) after `halved`; borders stay."""
+    sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    ends = np.concatenate([edges, edges[:, ::-1]])
+    beside = sp.coo_matrix((np.ones(len(ends)), tuple(ends.T)), (count, count)).tocsr()
+    valence = np.maximum(np.asarray(beside.sum(1)).ravel(), 1)
+    own = 2 * (0.375 + 0.25 * np.cos(2 * np.pi / valence)) ** 2 - 0.25
+    own[np.unique(edges[uses == 1])] = 1
+    return sp.diags(own) + sp.diags((1 - own) / valence) @ beside
+
+
 def linear_uv(quads, uv):
     """Picture coordinates of the subdivided quads: means of edges and faces."""
     sides = np.sort(np.stack([quads, np.roll(quads, -1, 1)], -1).reshape(-1, 2), 1)

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from rig.controls import default_controls
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
 from rig.retarget.head_light import occlusion
-from tools.heads import pictures
+from tools.heads import lips, pictures
 from tools.heads.base import Base, eye_of, triangles
 from tools.heads.parts import Person
 from tools.heads.people import PEOPLE
@@ -55,6 +55,8 @@ PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tong
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
 TONGUE = (0.95, 0.9, 0.88)
 """Colour of the tongue over its picture."""
+CORRIDOR = {"teeth_upper": (1.15, 1.5), "teeth_lower": (1.0, 1.3)}
+"""Distance from the middle where the shadow of the cheeks on teeth begins, and over what way, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -298,13 +300,8 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         kind[where] = KINDS.get(part, PLAIN)
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
-        front = _front(joined.points[slices[part]])
-        own = person.parts[part]
-        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [
-            0.75,
-            0.95,
-            1.0,
-        ]  # by cheeks
+        front = _front(joined.points[slices[part]], *CORRIDOR[part])
+        colour[slices[part]] = front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
@@ -314,6 +311,8 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     gloss[slices["hair"]] = look["shine"]
     within = smooth(hair.high / 0.8)
     gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])
+    gloss[slices["skin"]] += lips.gloss(shapes.average[: base.n_skin])
+    gloss[slices["skin"]] *= 1 - 0.5 * shapes.inside()
     for center, radius in person.eyes:  # the wet rims of lids
         off = person.skin - center
         rim = np.exp(-(((np.linalg.norm(off, axis=1) / radius - 1.03) / 0.04) ** 2))
@@ -371,9 +370,9 @@ def _blink(base, shapes, person):
     return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
 
 
-def _front(points):
+def _front(points, begin=1.15, over=1.5):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.6 * pictures._smooth((np.abs(points[:, 0]) - 1.2) / 1.8)
+    return 1 - 0.75 * pictures._smooth((np.abs(points[:, 0]) - begin) / over)
 
 
 def _corner_light(shapes, person):
@@ -406,20 +405,24 @@ def _light(base, shapes, person, joined, picture):
     shut, opened = (occlusion(x, joined.faces, is_opaque) for x in (joined.points, moved))
     light = shut.copy()
     away = np.minimum(*shapes.away)
-    lips = np.zeros(len(light), bool)
-    lips[: base.n_skin] = (away < 1.3) & (opened[: base.n_skin, 0] > shut[: base.n_skin, 0])
+    lit = np.zeros(len(light), bool)
+    lit[: base.n_skin] = (away < 1.3) & (opened[: base.n_skin, 0] > shut[: base.n_skin, 0])
     for part in ("teeth_upper", "teeth_lower", "tongue"):
-        lips[joined.slices[part]] = True
-    light[lips] = opened[lips]
+        lit[joined.slices[part]] = True
+    light[lit] = opened[lit]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
     least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
     light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
-    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.72, 0.16])
-    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.13) ** 2)))[:, None]
+    lit = pictures._smooth((contact - 0.08) / 0.12)
+    lit *= pictures._smooth((1.0 - contact) / 0.5)
+    lit *= pictures._smooth((person.normals[:, 2] - 0.1) / 0.3)  # normals shade lips already
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], np.outer(lit, [0.95, 0.85]))
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.60, 0.16])
+    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.10) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
-    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.85, 0.6]),
+    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.72, 0.5]),
                         ("tongue", [0.9, 0.72])):  # fmt: skip
         own = joined.slices[part]
         light[own] = np.maximum(light[own], least) * (depth[own] * _front(x[own]))[:, None]
@@ -431,6 +434,9 @@ def _light(base, shapes, person, joined, picture):
                            & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
                            & (high > -2.4) & (high < np.where(far < front - 5, 4.6, 2.4)))  # fmt: skip
     light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
+    cheek = np.flatnonzero(shapes.inside() & (contact > 0.25))  # folded: neighbours have one light
+    near = cKDTree(x[cheek]).query(x[cheek], k=30)[1]
+    light[cheek] = np.minimum(light[cheek][near].mean(1), [0.34, 0.2])
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]

@@ -7,12 +7,10 @@ triangles of those, and where it has any its own displacements.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from rig.face.mesh import smoothstep
-from tools.heads.base import CM, Base, Proxy, eye_of, normals, split
+from tools.heads import teeth
+from tools.heads.base import CM, Base, Proxy, averaged, eye_of, halved, normals, split
 from tools.heads.shapes import Shapes
 
 IRIS = np.radians(26.5)
@@ -21,29 +19,10 @@ EYE_EDGE = np.radians(105.0)
 RINGS, SPOKES = 22, 36
 BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
-_SETTLE = {"upper": (-0.24, 0.35), "lower": (-0.26, 0.60)}
-"""Shift of each row of teeth upwards, and how far its front stands behind the middle of the line
-where the lips meet, cm; small heads have more, for their lips move as far."""
-_GUM = 0.05
-"""How far gums stand back from where they are beside their teeth, cm."""
-_TEETH = {
-    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.21, 0.01, 0), (0.97, 0.28, 0, 0.03), (1, 0.28, 0.03, 0.03),
-              (1, 0.22, 0.03, 0.03), (1, 0.1, 0, 0)],
-    "lower": [(0.88, 0.12, 0.01, 0), (0.94, 0.12, 0.015, 0), (1.02, 0.07, 0, 0.03), (1, -0.03, 0.03, 0.03),
-              (1, -0.14, 0, 0), (1, -0.22, 0, 0), (1, -0.3, 0, 0), (1, -0.3, 0, 0)],
-}  # fmt: skip
-"""Teeth from the middle outwards: share of the width, added length, how far the corners of the edge
-are rounded and how far its middle is a point, cm; the others as they are."""
-_SQUARE = 0.14
-"""How far the corners of all edges are filled first, cm: rows have no holes between teeth."""
-_MIDLINE = 0.018
-"""How far both halves of a row go to the middle, cm."""
-_ENAMEL = {"upper": (1.0, 0.955, 0.895), "lower": (0.85, 0.775, 0.70)}
-"""Colour of each row over its picture: lower teeth are in the shadow of the upper ones."""
-_ASIDE = np.array([0.96, 0.945, 0.925])
-"""Colour of a tooth over that of the one before it, from the lateral incisors on."""
-_BETWEEN = 0.22
-"""How much darker a tooth is beside the next one, where it turns back."""
+_BEHIND = {"upper": 0.35, "lower": 0.62}
+"""How far the front of each row stands behind the middle of the line where the lips meet, cm."""
+_EDGE = {"upper": -0.27, "lower": 0.20}
+"""Height of the incisors' edges over that line, cm, the teeth together."""
 
 
 @dataclass
@@ -100,19 +79,14 @@ class Person:
         return state[self.base.at(f"helper-{s}-eye")].mean(0)
 
     def _parts(self):
-        base, found = self.base, {}
+        found = {}
         for name, (center, radius), sign in zip(
             ("eye_L", "eye_R"), self.eyes, (1, -1), strict=True
         ):
             found[name] = _ball(center, radius, f"CTRL_{name[-1]}_eye_pupil.ty", sign)
-        teeth = self._proxy("teeth/Teeth_Base/Teeth_Base.json")
-        is_low = np.isin(teeth.proxy.refs, base.group("helper-lower-teeth")).any(1)
-        for row, of_row in (("upper", ~is_low), ("lower", is_low)):
-            part = teeth.chosen(of_row[teeth.drawn[teeth.faces[:, 0]]])
-            forward = self._set_teeth(part, row)
-            found[f"teeth_{row}"] = part
-        found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
-        found["tongue"].points = _rounded(found["tongue"].points) + [0, 0, 0.6 * forward]
+        for row in teeth.ROWS:
+            found[f"teeth_{row}"] = self._teeth(row)
+        found["tongue"] = self._tongue()
         lashes = self._proxy("eyelashes/eyelashes02/eyelashes02.json", moves=False)
         brows = self._proxy(
             "eyebrows/eyebrow{0}/eyebrow{0}.json".format(self.look["brow"]), moves=False
@@ -135,43 +109,43 @@ class Person:
         shirt.points = self._outside(shirt.points, 0.3, 1.6)
         return found | {"shirt": shirt}
 
-    def _set_teeth(self, part, row):
-        """Shape single teeth and set the row behind the lip; how far it went forward, cm."""
-        up, back = _SETTLE[row]
-        sign = -1 if row == "upper" else 1  # of the way from a tooth's root to its edge
-        labels = _pieces(part)
-        gum = np.bincount(labels).argmax()
-        teeth = [np.flatnonzero(labels == k) for k in np.unique(labels) if k != gum]
-        points, part.tone = part.points.copy(), np.ones((len(part.points), 3))
-        rng = np.random.default_rng(self.look["iris"])
-        for side in (1, -1):
-            own = [ids for ids in teeth if side * points[ids, 0].mean() > 0]
-            own.sort(key=lambda ids: -points[ids, 2].max())
-            ends = np.array([points[ids].mean(0) for ids in own])
-            along = np.gradient(ends * [1, 0, 1], axis=0)
-            along[0], moved = [side, 0, -0.15], _MIDLINE
-            for k, ids in enumerate(own):
-                shape = _TEETH[row][k] if k < len(_TEETH[row]) else (1, 0, 0, 0)
-                tilt = rng.normal(0, [0.02, 0.03]) * (0 < k < 5)
-                points[ids], edge, narrower = _shaped(points[ids], along[k], sign, shape, tilt)
-                points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
-                moved += narrower
-                part.tone[ids] = _tone(edge, k) * _ENAMEL[row] * _ASIDE ** max(k - 1, 0)
-                beside = np.abs((points[ids] - points[ids].mean(0)) @ along[k])
-                part.tone[ids] *= 1 - _BETWEEN * (beside / beside.max())[:, None] ** 6
-        gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
-        points[gum, 2] -= _GUM
-        palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
-        part.tone[gum] = 0.92 - 0.6 * palate[gum, None]
+    def _teeth(self, name):
+        """A row of teeth behind the lips; it moves as the base mesh's helper points do."""
+        points, faces = teeth.grid(name, self.look["iris"])
         size = self.size**0.6
-        front = max(points[ids, 2].max() for ids in teeth)
-        edge = sign * max(sign * points[ids, 1].mean() for ids in teeth)
-        points = (points - [0, edge, front]) * size + [0, edge, front]
+        place = self._lip_middle() + [0, _EDGE[name] * self.size, -_BEHIND[name] / size]
+        points = size * points.reshape(-1, 3) + place
+        part = Part(points, np.arange(len(points)), teeth.places(name).reshape(-1, 2), faces)
+        at = self.base.at(f"helper-{name}-teeth")
+        known, own = (np.insert(x, 0, 1, axis=1) for x in (self.state[at], points))
+        for shape, delta in zip(self.shapes.names, self.shapes.deltas[:, at], strict=True):
+            if np.abs(delta).max() > 1e-2:
+                part.deltas[shape] = own @ np.linalg.lstsq(known, delta, rcond=None)[0]
+        return part
+
+    def _tongue(self):
+        """The tongue with four times its triangles, low in the mouth."""
+        part = self._proxy("tongue/tongue01/tongue01.json")
+        welded, count = part.drawn[part.faces], len(part.points)
+        by_half, faces = halved(welded, count)
+        finer = averaged(faces, by_half.shape[0]) @ by_half
+        halves, drawn_faces = halved(part.faces, len(part.drawn))
+        drawn = np.empty(halves.shape[0], int)
+        drawn[drawn_faces] = faces
+        part.points = finer @ _rounded(part.points) + [0, 0, 0.6 * self._forward()]
+        part.deltas = {name: finer @ delta for name, delta in part.deltas.items()}
+        part.drawn, part.uv, part.faces = drawn, halves @ part.uv, drawn_faces
+        return part
+
+    def _lip_middle(self):
+        """Middle of the line where the lips meet."""
         rim = self.shapes.rim_weights[0] @ self.state[self.shapes.rims[0]]
-        forward = rim[len(rim) // 2, 2] - back / size - front
-        deep = smoothstep((sign * (edge - points[:, 1]) - 0.7) / 0.9)  # behind the chin, the nose
-        part.points = points + [0, up * size, forward] - np.outer(deep, [0, 0, max(forward, 0)])
-        return forward
+        return rim[len(rim) // 2]
+
+    def _forward(self):
+        """How far in front of its helper points the lower row stands, cm."""
+        helper = self.state[self.base.at("helper-lower-teeth")]
+        return self._lip_middle()[2] - _BEHIND["lower"] / self.size**0.6 - helper[:, 2].max()
 
     def _proxy(self, path, moves=True):
         proxy = Proxy(self.base, path)
@@ -262,44 +236,6 @@ class Person:
             )
 
 
-def _pieces(part):
-    """Number of the connected piece that each point of a part belongs to."""
-    a = part.drawn[part.faces]
-    ends = a.ravel(), np.roll(a, 1, 1).ravel()
-    count = len(part.points)
-    return connected_components(coo_matrix((np.ones(a.size), ends), (count, count)), False)[1]
-
-
-def _shaped(tooth, along, sign, shape, tilt):
-    """Points of a tooth by a row of `_TEETH`, turned by two small angles; each one's way from the
-    root (0) to the edge (1); how much narrower the tooth is, cm.
-    """
-    width, longer, rounded, pointed = shape
-    middle, along = tooth.mean(0), along / np.linalg.norm(along)
-    across = (tooth - middle) @ along
-    share = np.abs(across) / np.abs(across).max()
-    high = sign * (tooth[:, 1] - middle[1])
-    edge = np.clip((high - high.min()) / np.ptp(high), 0, 1)
-    corner = rounded * share**2 * np.where(across > 0, 1, 0.3)  # more away from the middle
-    corner -= _SQUARE * share**4
-    grown = longer * edge - (corner + pointed * share) * edge**2
-    tooth = tooth + np.outer(sign * grown, [0, 1, 0])
-    turn = (width - 1) * across + tilt[0] * sign * high + tilt[1] * (tooth - middle)[:, 2]
-    return tooth + turn[:, None] * along, edge, (1 - width) * np.ptp(across)
-
-
-def _tone(edge, place):
-    """Colour of a tooth from root (0) to edge (1): warm by the gum, grey and blue at the edge."""
-    warm = np.clip((0.85 - edge) / 0.5, 0, 1)[:, None] ** 1.3
-    yellow = {2: 0.07}.get(place, 0.025 * (place > 2))
-    tip = np.clip((edge - 0.85) / 0.15, 0, 1)[:, None] * (place < 2)
-    return (
-        (1 - warm * [0.16, 0.28, 0.36])
-        * (1 - tip * [0.10, 0.07, 0.04])
-        * [1, 1 - 0.4 * yellow, 1 - yellow]
-    )
-
-
 def _rounded(tongue):
     """A tongue's points at rest: low in the mouth, round across, with a groove in the middle."""
     x, y, z = tongue.T
@@ -311,7 +247,9 @@ def _rounded(tongue):
     across = np.minimum(np.abs(x) / half, 1)
     fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.6 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
-    return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
+    tip = np.clip(1 - back / 0.4, 0, 1)
+    narrow = np.stack([0.24 * tip**1.5 * x, 0 * x, 0.35 * tip * across**2], 1)
+    return tongue - narrow - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
 
 
 def _ball(center, radius, pupil, sign):

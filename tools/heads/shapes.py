@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from rig.face.head import CORRECTIVES, LID_RAISERS
@@ -52,6 +52,8 @@ MIX = {
 """Face units of the positive and the negative half of ``CTRL_@_`` controls, with factors."""
 COLUMNS = np.linspace(-2.6, 2.6, 53)
 """Places along the lips at which they are sealed, cm of the average head."""
+CORNERS = np.array([(2.56, -3.63, 9.49), (-2.56, -3.63, 9.49)])
+"""Corners of the average mouth, left first, cm."""
 LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
@@ -90,6 +92,17 @@ class Shapes:
         self.relax = self._relaxation()
         self.rest = self.rest_of(base.average)
         self.units = self._derived(units)
+
+    def inside(self):
+        """Points of the skin in the mouth: those that lips and corners cut off from the face."""
+        skin, faces = self.average[: self.n], self.base.skin_faces
+        corners = [np.argmin(np.linalg.norm(skin - at, axis=1)) for at in CORNERS]
+        free = (self.along(np.concatenate(self.rims)) > 0.1) & (self.along(corners) > 0.4)
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+        edges = edges[free[edges].all(1)]
+        graph = sp.coo_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(self.n, self.n))
+        piece = connected_components(graph, directed=False)[1]
+        return piece == piece[cKDTree(skin).query([0, -3.6, 8.0])[1]]
 
     def along(self, seeds):
         """Distance along the average skin from points."""
@@ -162,8 +175,7 @@ class Shapes:
 
     def _relaxation(self):
         """Matrix (skin, skin) that smooths the corners of the mouth, where the lips fold."""
-        corners = [np.argmin(np.linalg.norm(self.average[: self.n] - [x, -3.63, 9.49], axis=1))
-                   for x in (2.56, -2.56)]  # fmt: skip
+        corners = [np.argmin(np.linalg.norm(self.average[: self.n] - at, axis=1)) for at in CORNERS]
         share = np.exp(-((self.along(corners) / 0.45) ** 2))
         share[share < 0.02] = 0
         a, b = self.base.quads, np.roll(self.base.quads, -1, 1)
