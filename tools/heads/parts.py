@@ -15,7 +15,7 @@ from rig.face.mesh import smoothstep
 from tools.heads.base import CM, Base, Proxy, eye_of, normals, split
 from tools.heads.shapes import Shapes
 
-IRIS = np.radians(26.5)
+IRIS = np.radians(22.0)
 """Angle of the iris's rim from the axis of the eye."""
 EYE_EDGE = np.radians(105.0)
 RINGS, SPOKES = 22, 36
