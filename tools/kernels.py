@@ -551,7 +551,7 @@ def _paint(
         places[GLOSS + i] *= F(1) + _PORE_GLOSS * is_skin * grain
         places[KEPT + i] = F(1) + (_PORE_SHADE * is_skin + F(CLOTH_SHADE) * is_cloth) * grain
         places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)
-        places[RIM + i] = F(0) if kind == _EYE else F(0.35)
+        places[RIM + i] = F(0) if kind == _EYE else F(0.1) if kind == _HAIR else F(0.35)
         places[WINDOW + i] = F(0)
         places[TO_EYE + i], places[TO_EYE + PLACES + i] = vx, vy
         places[TO_EYE + 2 * PLACES + i] = vz

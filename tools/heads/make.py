@@ -308,9 +308,10 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
-    colour[slices["hair"]] = person.parts["hair"].tone[:, None]
+    colour[slices["hair"]] = np.minimum(person.parts["hair"].tone, 1)
     pictures.paint_scalp(picture, base, person)
     pictures.paint_beard(picture, base, person)
+    pictures.paint_brows(picture, base, person)
     gloss[slices["hair"]] = look["shine"]
     within = smooth(hair.high / 0.8)
     gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])

@@ -260,13 +260,13 @@ def hair(look, side=1024):
     x, y = np.arange(width) + 0.5, (np.arange(side)[:, None] + 0.5) / side
     columns = []
     for k in range(VARIANTS):
-        alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
+        alpha, light = np.zeros((side, width)), np.full((side, width), 0.85)
         is_wisp = k >= VARIANTS - WISPS
         tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
-        for strand in range(6 if is_wisp else look["hairs"]):
+        for strand in range(5 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
-            edge = 0.08 * width
-            middle = edge + (width - 2 * edge) * rng.beta(1.5, 1.5)  # denser in the middle
+            edge = 0.1 * width
+            middle = edge + (width - 2 * edge) * rng.beta(1.3, 1.3)  # denser in the middle
             middle = middle + rng.normal() * 0.05 * width * y
             lock = (strand % look["locks"] + 0.5) / look["locks"] * width  # to which tips gather
             middle = middle + look["gather"] * (lock - middle) * y**1.5
@@ -276,20 +276,19 @@ def hair(look, side=1024):
                 rng.uniform(-0.06, look.get("starts", 0.03)),
                 rng.uniform(look["ends"], 1.0),
             )
-            thick = rng.uniform(2.0, 4.0) if is_wisp else rng.uniform(*look["thick"])
-            own = np.exp(
-                -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
-            )
+            thick = rng.uniform(*look["thick"]) * (0.8 if is_wisp else 1)
+            thin = (1.1 - 0.75 * (y / end) ** 2).clip(0.3)  # towards its tip
+            own = np.exp(-(((x - middle) / (thick * thin)) ** 2))
             own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
-            shade = rng.uniform(0.66, 1.12) - 0.12 * np.abs(x - middle) / thick
-            light = np.where(own > 0.25, shade, light)
-            alpha = np.maximum(alpha, own)
-        inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
+            shade = rng.uniform(*look.get("shades", (0.64, 1.14))) + 0.05 * np.sin(9 * y + turn[1])
+            light = light + own * (shade - light)
+            alpha = alpha + own * (1 - alpha)
+        inside = np.clip(np.minimum(x, width - x) / 3 - 0.4, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
     light = light[..., None] ** [0.85, 1.0, 1.1]  # thin strands let red light through
     colour = np.array(look["hair_colour"]) / 255 * 1.25 * light
-    return np.dstack([np.clip(colour, 0, 1), np.clip(1.35 * alpha, 0, 1)])
+    return np.dstack([np.clip(colour, 0, 1), np.clip(1.2 * alpha, 0, 1)])
 
 
 def texels(base, person):
@@ -388,7 +387,7 @@ def _eye(look, side=512):
     colour = colour * depth[..., None]
     ring = smooth((share - 0.62) / 0.34)[..., None]
     colour = colour * (1 - 0.84 * ring)
-    pupil = np.clip((share - 0.37) / 0.06, 0, 1)[..., None]
+    pupil = np.clip((share - 0.31) / 0.07, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
     edge = smooth((share - 0.87) / 0.30)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
@@ -405,7 +404,7 @@ def brow_crop(person):
 
 
 def _brow(base, person, side=512):
-    """Hairs of both brows over a soft ground, which fade to the rim of their mesh."""
+    """Hairs of both brows (512, 512, 4), and the soft ground of them (512, 512), to the rim of their mesh."""
     look = person.look
     path = "proxies/eyebrows/eyebrow{0}/textures/eyebrow{0}.png".format(look["brow"])
     alpha = np.asarray(Image.open(base.npm / path).convert("RGBA").getchannel("A"), float) / 255
@@ -428,10 +427,40 @@ def _brow(base, person, side=512):
         thick[own], inside = smooth((far - out.min()) / THICK_FROM), inside | own
     rim = smooth(distance_transform_edt(inside) / (0.05 * side))
     dense, ground = look["brow_hairs"]
-    alpha = np.clip(dense * hairs + ground * gaussian_filter(hairs, (6, 4)), 0, 1) * rim
-    alpha *= 0.35 + 0.65 * thick
+    share = rim * (0.35 + 0.65 * thick)
     colour = np.array(look["brow_colour"]) / 255 * (1.25 - 0.4 * hairs[..., None])
-    return np.dstack([colour, alpha])
+    alpha = np.clip(dense * hairs, 0, 1) * share
+    return np.dstack([colour, alpha]), ground * gaussian_filter(hairs * share, (9, 7))
+
+
+BROW_CM = 0.4
+"""How far from a brow's mesh the skin is of its ground."""
+
+
+def paint_brows(picture, base, person):
+    """Draw the ground of brows on the picture of the skin below them."""
+    look, width = person.look, PLACES["skin"][2]
+    _, ground = _brow(base, person)
+    low, high = brow_crop(person)
+    weights = np.array([(a, b, 8 - a - b) for a in range(9) for b in range(9 - a)]) / 8
+    points, places = [], []
+    for name in ("brow_L", "brow_R"):
+        part = person.parts[name]
+        points.append((weights @ part.points[part.drawn[part.faces]]).reshape(-1, 3))
+        places.append((weights @ ((part.uv - low) / (high - low))[part.faces]).reshape(-1, 2))
+    points, places = np.concatenate(points), np.concatenate(places)
+    at = [(1 - places[:, 1]) * len(ground) - 0.5, places[:, 0] * len(ground) - 0.5]
+    value = map_coordinates(ground, at, order=1, mode="nearest")
+    uv = placed(skin_uv(base.uv), "skin")
+    place, known = surface(person.skin, base.skin_faces, uv, base.uv_triangles, SIDE)
+    place, known = place[:, :width], known[:, :width]
+    inside = (place > points.min(0) - BROW_CM) & (place < points.max(0) + BROW_CM)
+    rows, columns = np.nonzero(known & inside.all(-1))
+    away, near = cKDTree(points).query(place[rows, columns], k=4)
+    share = value[near].mean(1) * smooth((BROW_CM - away[:, 0]) / 0.2)
+    skin = picture[rows, columns, :3]
+    mixed = skin + share[:, None] * (np.array(look["brow_colour"]) - skin)
+    picture[rows, columns, :3] = np.round(mixed)
 
 
 def _filled(picture):
@@ -458,7 +487,7 @@ def atlas(base, person):
     put("skin", skin(base, person))
     put("hair", hair(look))
     put("eye", _eye(look))
-    put("brow", _brow(base, person))
+    put("brow", _brow(base, person)[0])
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
     is_tooth = np.clip(1.5 - 6 * np.ptp(teeth, axis=2), 0, 1)[..., None]
     teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
@@ -467,7 +496,7 @@ def atlas(base, person):
     put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.66, 0.64])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
     alpha = np.asarray(lash.getchannel("A"), float) / 255
-    alpha = np.minimum(1.35 * gaussian_filter(alpha, 1.0), 1) * (0.35 + 0.65 * look["lashes"])
+    alpha = np.minimum(1.2 * gaussian_filter(alpha, 0.7), 1) * (0.3 + 0.7 * look["lashes"])
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
     cloth = 1 + 0.015 * _noise((256, 256), 9, 4)
     put("shirt", np.clip(0.93 * cloth, 0, 1)[..., None].repeat(3, 2))

@@ -185,7 +185,7 @@ void main() {{
     albedo = mix(albedo * (1.0 - {DIM} * dark), {_vec(DEEP)}, dark * dark); gloss *= 1.0 - dark;
   }}
   facing = dot(n, v); wrap = WRAPS[kind];
-  float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * 0.35;
+  float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * (kind == {HAIR} ? 0.1 : 0.35);
   vec3 sky = {_vec(SKY)};
   diffuse = (mix({_vec(GROUND)}, sky, 0.5 + 0.5 * n.y) + rim * sky) * light_.x;
   shine = {SHEEN} * rim * light_.x * sky;
