@@ -38,6 +38,7 @@ _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
 _PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
 _PORE_GLOSS, _SHEEN, _STRANDS = F(shading.PORE_GLOSS), F(shading.SHEEN), F(shading.STRANDS)
+_TINT, _RIM, _HAIR_RIM = F(shading.TINT), F(shading.RIM), F(shading.HAIR_RIM)
 
 PROCESSOR = "skylake"
 """For whose vectors loops are written."""
@@ -551,7 +552,7 @@ def _paint(
         places[GLOSS + i] *= F(1) + _PORE_GLOSS * is_skin * grain
         places[KEPT + i] = F(1) + (_PORE_SHADE * is_skin + F(CLOTH_SHADE) * is_cloth) * grain
         places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)
-        places[RIM + i] = F(0) if kind == _EYE else F(0.1) if kind == _HAIR else F(0.35)
+        places[RIM + i] = F(0) if kind == _EYE else _HAIR_RIM if kind == _HAIR else _RIM
         places[WINDOW + i] = F(0)
         places[TO_EYE + i], places[TO_EYE + PLACES + i] = vx, vy
         places[TO_EYE + 2 * PLACES + i] = vz
@@ -656,10 +657,11 @@ def _light(count: Any, places: Any) -> None:
             shine_r += shine * _COLOR[k, 0]
             shine_g += shine * _COLOR[k, 1]
             shine_b += shine * _COLOR[k, 2]
-        kept = places[KEPT + i]
-        places[RED + i] = _display(places[RED + i], kept * red, shine_r)
-        places[GREEN + i] = _display(places[GREEN + i], kept * green, shine_g)
-        places[BLUE + i] = _display(places[BLUE + i], kept * blue, shine_b)
+        kept, bare, tint = places[KEPT + i], F(1) - is_hair, is_hair * _TINT
+        paint_r, paint_g, paint_b = places[RED + i], places[GREEN + i], places[BLUE + i]
+        places[RED + i] = _display(paint_r, kept * red, shine_r * (bare + tint * paint_r))
+        places[GREEN + i] = _display(paint_g, kept * green, shine_g * (bare + tint * paint_g))
+        places[BLUE + i] = _display(paint_b, kept * blue, shine_b * (bare + tint * paint_b))
 
 
 @kernel

@@ -308,7 +308,7 @@ def paint_scalp(picture, base, person):
     place, known = texels(base, person)
     known = known & (place[..., 1] > -6) & (place[..., 2] < 14)
     at = place[known]
-    within = over_line(at, look) + 0.28 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
+    within = over_line(at, look) + 0.16 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
     noise = np.random.default_rng(3).random((64, 4096))
     noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
     noise = (noise - noise.min()) / np.ptp(noise)

@@ -265,7 +265,7 @@ def grow(person: Person, hair: Hair) -> Part:
         if "wave" in layer:  # neighbours wave together
             far = np.linspace(0, 1, curves.shape[1])[None, :, None] * length[:, None, None]
             turn = (points @ [[0.5, 0.9, 0.2], [0.7, 0.3, 0.6], [0.2, 0.8, 0.5]])[:, None]
-            turn = turn + rng.normal(size=turn.shape) * 0.5
+            turn = turn + rng.normal(size=turn.shape) * 0.25
             curves = curves + layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / 2.4 + turn)
         low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
         curves, across = _cut(curves, across, low)
