@@ -6,14 +6,15 @@ cards from the outside to the scalp: how many, their length, height over the sca
 head (``around``, degrees) and from the parting (``part``) they are rooted. ``inset`` leaves out the
 thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
 ``tips``, shares of their length, and begin up to ``starts`` of it late; they are ``thick`` (least,
-greatest) texels and ``gather`` to the middles of ``locks`` in a card, which is ``narrow`` at its
+greatest) texels of 64 and ``gather`` to the middles of ``locks`` in a card, which is ``narrow`` at its
 root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
 ``roots`` how far the drawn roots lie before the hairline, which is ``soft`` over so many cm and
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
 noise and ``flesh`` the colour of the corners of the eyes. ``brow_hairs`` are how dense the hairs of
-a brow and the soft ground below them are.
+a brow and the soft ground below them are. ``shades`` are the darkest and lightest strands,
+``lash_length`` the length of lashes, for 1 of the package's.
 """
 
 _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
@@ -35,7 +36,7 @@ PEOPLE = {
             {"count": 70, "length": 9, "lift": 0.7, "rise": 1.5, "width": 0.6, "from": 0.5, "part": 0.5, "around": (0, 120), "tone": 0.98,
              "steps": 5, "roll": 0.08, "stray": 0.07},
             {"count": 60, "style": "frame", "around": (0, 50), "length": 26, "lift": 0.85, "rise": 1.8, "width": 0.75, "from": 0.5, "to": 5, "part": 2.6,
-             "wave": 0.25, "steps": 11, "cut": -12, "ends": 1.0, "taper": 0.3, "roll": 0.08, "stray": 0.05},
+             "wave": 0.25, "steps": 11, "cut": -11.4, "ends": 0.5, "taper": 0.3, "roll": 0.08, "stray": 0.05},
             {"count": 150, "length": 30, "lift": 1.0, "rise": 2.0, "width": 1.35, "from": 1.0, "wave": 0.25, "steps": 10,
              "cut": -13, "ends": 0.8, "roll": 0.1, "stray": 0.05},
             {"count": 76, "around": (0, 65), "length": 30, "lift": 0.8, "rise": 2.0, "width": 1.0, "from": 0.5, "to": 4, "wave": 0.25, "tone": 0.97,
