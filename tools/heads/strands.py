@@ -25,6 +25,8 @@ AXIS_Z, ROUND_CM = -0.8, 7.6
 FINE = 3
 """Steps in which each part of a card is worked out."""
 DOWN = np.array([0.0, -1.0, 0.0])
+FRONT = (-10.2, 6.5)
+"""Height, cm, at which hair ends that hangs farther in front: below it no neck turns with the head."""
 
 
 def unit(x):
@@ -305,7 +307,8 @@ def _cut(curves, across, low):
     both = np.concatenate([curves, across], 2)
     found = np.empty((count, len(share), 6))
     for k in range(count):
-        under = np.flatnonzero(curves[k, 1:, 1] < low[k])
+        y, z = curves[k, 1:, 1:].T
+        under = np.flatnonzero((y < low[k]) | (y < FRONT[0]) & (z > FRONT[1]))
         end = under[0] + 1 if len(under) else last
         found[k] = np.stack([np.interp(end * share, np.arange(last + 1), v) for v in both[k].T], 1)
     return found[..., :3], unit(found[..., 3:])
