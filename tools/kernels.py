@@ -37,6 +37,8 @@ _IRIS = F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
 _PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
+_PORE_GLOSS, _SHEEN, _STRANDS = F(shading.PORE_GLOSS), F(shading.SHEEN), F(shading.STRANDS)
+_TINT, _RIM, _HAIR_RIM = F(shading.TINT), F(shading.RIM), F(shading.HAIR_RIM)
 
 PROCESSOR = "skylake-avx512"
 WIDE = 16
@@ -558,10 +560,10 @@ def _paint(
         places[NX + i] = way * nx + tilt * (_byte(pore, 1) * F(1 / 127.5) - F(1))
         places[NY + i] = way * ny + tilt * (_byte(pore, 2) * F(1 / 127.5) - F(1))
         places[NZ + i] = way * nz
-        places[GLOSS + i] *= F(1) + F(0.7) * is_skin * grain
+        places[GLOSS + i] *= F(1) + _PORE_GLOSS * is_skin * grain
         places[KEPT + i] = F(1) + (_PORE_SHADE * is_skin + F(CLOTH_SHADE) * is_cloth) * grain
         places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)
-        places[RIM + i] = F(0) if kind == _EYE else F(0.35)
+        places[RIM + i] = F(0) if kind == _EYE else _HAIR_RIM if kind == _HAIR else _RIM
         places[WINDOW + i] = F(0)
         places[TO_EYE + i], places[TO_EYE + PLACES + i] = vx, vy
         places[TO_EYE + 2 * PLACES + i] = vz
@@ -634,11 +636,15 @@ def _light(count: Any, places: Any) -> None:
         blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
         glow = (F(1) - ambient) * (F(1) - ambient) * (F(1) if kind <= _SKIN else F(0))
         red, green, blue = red + glow * _GLOW[0], green + glow * _GLOW[1], blue + glow * _GLOW[2]
-        shine_r = shine_g = shine_b = places[WINDOW + i]
+        sheen, window, strands = _SHEEN * rim * ambient, places[WINDOW + i], places[STRAND + i]
+        shine_r = window + sheen * _SKY[0]
+        shine_g = window + sheen * _SKY[1]
+        shine_b = window + sheen * _SKY[2]
         power = F(14) + F(340) * gloss * gloss
         strength = F(0.16) * min(gloss, F(0.28))
         strength += F(0.50) * gloss * gloss * np.sqrt(max(gloss, F(0)))
-        strength *= places[STRAND + i]
+        strength *= strands
+        aslant = _STRANDS * (strands - F(0.6))
         for k in range(N_LIGHTS):
             dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
             cosine = nx * dx + ny * dy + nz * dz
@@ -653,7 +659,7 @@ def _light(count: Any, places: Any) -> None:
             along = F(1) + dx * vx + dy * vy + dz * vz
             both = np.sqrt(max(F(2) * along, F(1e-6)))
             half = _limited((cosine + facing) / both)
-            fall = (ny * (cosine + facing) - dy - vy) / (both * level)
+            fall = (ny * (cosine + facing) - dy - vy) / (both * level) + aslant
             strand = max(F(1) - fall * fall, F(0)) * is_hair
             gate = _limited(F(5) * cosine)
             gate += is_hair * (_limited(F(0.3) + cosine) - gate)
@@ -662,10 +668,11 @@ def _light(count: Any, places: Any) -> None:
             shine_r += shine * _COLOR[k, 0]
             shine_g += shine * _COLOR[k, 1]
             shine_b += shine * _COLOR[k, 2]
-        kept = places[KEPT + i]
-        places[RED + i] = _display(places[RED + i], kept * red, shine_r)
-        places[GREEN + i] = _display(places[GREEN + i], kept * green, shine_g)
-        places[BLUE + i] = _display(places[BLUE + i], kept * blue, shine_b)
+        kept, bare, tint = places[KEPT + i], F(1) - is_hair, is_hair * _TINT
+        paint_r, paint_g, paint_b = places[RED + i], places[GREEN + i], places[BLUE + i]
+        places[RED + i] = _display(paint_r, kept * red, shine_r * (bare + tint * paint_r))
+        places[GREEN + i] = _display(paint_g, kept * green, shine_g * (bare + tint * paint_g))
+        places[BLUE + i] = _display(paint_b, kept * blue, shine_b * (bare + tint * paint_b))
 
 
 @kernel

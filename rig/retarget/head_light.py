@@ -9,8 +9,8 @@ from rig.face.render.shading import TO_LIGHT
 from rig.face.render.software import Screen, nearest_faces
 
 SIDE, REACH_CM, BIAS_CM = 420, 24.0, 0.14
-DIRECTIONS, KEY_SPREAD, KEY_SAMPLES = 40, 0.24, 16
-SMOOTHINGS, LEAST_AMBIENT = 3, 0.25
+DIRECTIONS, KEY_SPREAD, KEY_SAMPLES = 40, 0.34, 28
+SMOOTHINGS, LEAST_AMBIENT = 5, 0.25
 """Rounds of means of neighbours, and the ambient light of places that see no sky."""
 
 

@@ -60,6 +60,8 @@ CORRIDOR = {"teeth_upper": (1.15, 1.5), "teeth_lower": (1.0, 1.3)}
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
+LEAST_ASIDE = 0.6
+"""Least ambient light of ears, neck and what of the cheeks lies below hair."""
 
 
 class Joined:
@@ -305,9 +307,10 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[slices[part]] *= front
     colour[slices["tongue"]] = TONGUE
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
-    colour[slices["hair"]] = person.parts["hair"].tone[:, None]
+    colour[slices["hair"]] = np.minimum(person.parts["hair"].tone, 1)
     pictures.paint_scalp(picture, base, person)
     pictures.paint_beard(picture, base, person)
+    pictures.paint_brows(picture, base, person)
     gloss[slices["hair"]] = look["shine"]
     within = smooth(hair.high / 0.8)
     gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])
@@ -325,6 +328,9 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5)
     brow *= smooth((z - 4) / 3) * smooth((6.5 - abs(x)) / 1.5)
     light[slices["skin"]] += (0.4 * brow)[:, None] * (1 - light[slices["skin"]])
+    aside = np.maximum(smooth((abs(x) - 4.4) / 1.2), smooth((-8.0 - y) / 1.5))
+    sky = light[slices["skin"], 0]  # where none comes, flesh glows as in the mouth
+    light[slices["skin"], 0] = np.maximum(sky, LEAST_ASIDE * aside)
     if hair.is_long:  # no black gaps between locks
         skin = slices["skin"]
         light[skin] = np.maximum(light[skin], 0.45 * within[:, None])
@@ -446,7 +452,7 @@ def _light(base, shapes, person, joined, picture):
     light[seam] = light[joined.weld[seam]]
     hair = joined.slices["hair"]  # cards have the light of those about them
     near = cKDTree(x[hair]).query(x[hair], k=40)[1]
-    light[hair] = 0.3 + 0.7 * (0.3 * light[hair] + 0.7 * light[hair][near].mean(1))
+    light[hair] = 0.16 + 0.84 * (0.3 * light[hair] + 0.7 * light[hair][near].mean(1))
     return light
 
 

@@ -13,7 +13,7 @@ from tools.heads import teeth
 from tools.heads.base import CM, Base, Proxy, averaged, eye_of, halved, normals, split
 from tools.heads.shapes import Shapes
 
-IRIS = np.radians(26.5)
+IRIS = np.radians(23.5)
 """Angle of the iris's rim from the axis of the eye."""
 EYE_EDGE = np.radians(105.0)
 RINGS, SPOKES = 22, 36
@@ -215,7 +215,8 @@ class Person:
         root = np.einsum("pkc,pk->pc", self.skin[lash.near], lash.weight)
         out = np.abs(lash.points[:, 0])
         along = (out - out.min()) / np.ptp(out)
-        lash.points = root + (lash.points - root) * (0.7 - 0.3 * along**3)[:, None]
+        length = self.look.get("lash_length", 1.0) * (0.7 - 0.3 * along**3)
+        lash.points = root + (lash.points - root) * length[:, None]
 
     def _tweak(self, lash, s):
         """Lashes turn about their roots: inner and outer half."""

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads import lips as lips_of
 from tools.heads import teeth
+from tools.heads.base import eye_of
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
 from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, is_ear, over_line, smooth
 
@@ -30,7 +31,7 @@ MOVED = [
     ((0.086, 0.547, 0.151, 0.633), (0.965, 0.010, 0.990, 0.050)),
 ]
 """Chest and sockets of the eyes, which are put into free corners of the crop: from, to."""
-CREASES, PORES = 1024, 256
+CREASES, PORES = 1024, 512
 
 
 def skin_uv(uv):
@@ -80,17 +81,23 @@ def _noise(shape, width, seed):
 
 
 ZONES = (
-    (0.0, -0.3, 1.9, 1.6, (1.02, 0.91, 0.91)),
-    (0.0, 2.2, 0.8, 1.8, (1.0, 0.96, 0.95)),
-    (4.2, -0.6, 2.5, 2.1, (1.02, 0.90, 0.89)),
-    (0.0, -6.8, 1.4, 1.0, (1.01, 0.95, 0.94)),
-    (2.9, 2.2, 1.5, 0.6, (0.95, 0.92, 0.95)),
-    (3.2, 4.35, 1.6, 0.55, (0.97, 0.91, 0.90)),
-    (0.0, 7.6, 4.5, 2.0, (1.0, 0.99, 0.955)),
-    (0.0, -2.6, 2.2, 0.5, (1.0, 0.95, 0.94)),
-    (5.0, -4.8, 1.5, 1.8, (0.985, 0.985, 0.965)),
+    (0.0, 0.0, 1.3, 1.5, (1.03, 0.86, 0.85)),
+    (1.5, -0.7, 0.7, 0.8, (1.02, 0.88, 0.88)),
+    (0.0, 2.4, 0.8, 1.8, (1.0, 0.96, 0.95)),
+    (4.0, -0.4, 2.0, 1.7, (1.03, 0.88, 0.87)),
+    (5.6, 0.6, 1.6, 1.4, (1.02, 0.93, 0.92)),
+    (0.0, -6.8, 1.4, 1.0, (1.01, 0.93, 0.92)),
+    (2.3, 2.1, 1.2, 0.6, (0.88, 0.85, 0.91)),
+    (3.4, 1.75, 1.7, 0.35, (0.95, 0.92, 0.93)),
+    (3.2, 4.25, 1.7, 0.55, (0.94, 0.87, 0.86)),
+    (0.0, 7.6, 4.5, 2.0, (1.0, 0.985, 0.95)),
+    (0.0, -2.6, 2.2, 0.5, (1.0, 0.94, 0.93)),
+    (5.0, -4.8, 1.5, 1.8, (0.98, 0.985, 0.97)),
+    (6.6, 4.0, 1.2, 2.0, (0.97, 0.96, 0.98)),
 )
 """Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
+BROAD = 90
+"""Texels over which the picture's colours are evened."""
 RAW = np.array([0.50, 0.45])
 """Least green and blue of skin, for one of red: the picture's mouth is painted like a wound."""
 NECK, NECK_CM = (-3.0, 6.0), 2.0
@@ -144,8 +151,8 @@ def skin(base, person):
     # Light, brows and streaks that the picture has are no colour of skin: broad means instead.
     brows = np.exp(-(((place[..., 1] - 5.4) / 1.3) ** 2)) * (place[..., 2] > 4)
     share = known * (1 - drawn) * (1 - 0.97 * brows) * (over_line(place, look) < 0.5) + 1e-4
-    plain = gaussian_filter(colour * share[..., None], (40, 40, 0))
-    plain = plain / gaussian_filter(share, 40)[..., None]
+    plain = gaussian_filter(colour * share[..., None], (BROAD, BROAD, 0))
+    plain = plain / gaussian_filter(share, BROAD)[..., None]
     fine = colour - gaussian_filter(colour, (26, 26, 0))
     fine += 0.45 * (colour - gaussian_filter(colour, (9, 9, 0)))
     fine *= look.get("drawing", 0.8)
@@ -164,8 +171,9 @@ def skin(base, person):
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in
-                 ((0.026, 0.03, 1), (0.022, 0.07, 2), (0.016, 0.2, 3), (0.016, 0.8, 4)))  # fmt: skip
-    blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
+                 ((0.030, 0.03, 1), (0.020, 0.07, 2), (0.012, 0.2, 3), (0.012, 0.8, 4)))  # fmt: skip
+    blood = sum(a * _cloud(place, w, s) for a, w, s in
+                ((0.016, 0.10, 5), (0.020, 0.3, 6), (0.026, 1.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
@@ -181,9 +189,28 @@ def skin(base, person):
         colour[where] = 0.35 * colour[where] + 0.65 * np.array(
             look.get("flesh", (0.80, 0.58, 0.54))
         )
+    colour = colour * _lids(base, person, place)
     colour = _joined(base, person, np.clip(colour, 0, 1))
     colour[..., 1:] = np.maximum(colour[..., 1:], colour[..., :1] * RAW)
     return colour ** look["gain"]
+
+
+LID_EDGES = {"upper": 1.25, "lower": 1.19}
+"""Distance of the edges of the average head's lids from the middle of the eye, in radii."""
+
+
+def _lids(base, person, place):
+    """Factors of the colour of skin at the edges of lids: roots of lashes, and wet flesh."""
+    center, radius = eye_of(person.shapes.average, base, "l")
+    off = place * np.where(place[..., :1] < 0, [-1, 1, 1], 1) - center
+    away = np.linalg.norm(off, axis=-1) / radius
+    away = np.where(off[..., 2] > 0, away, 9)
+    upper = smooth((off[..., 1] + 0.15) / 0.3)
+    roots = [np.exp(-(((away - LID_EDGES[lid]) / 0.05) ** 2)) for lid in ("upper", "lower")]
+    dark = 0.3 + 0.45 * person.look["lashes"]
+    dark = dark * (upper * roots[0] + 0.35 * (1 - upper) * roots[1])[..., None]
+    flesh = np.exp(-(((away - 1.08) / 0.08) ** 2))[..., None] * (1 - dark)
+    return (1 - dark * [0.80, 0.85, 0.88]) * (1 - flesh * [0.02, 0.16, 0.14])
 
 
 def _joined(base, person, colour):
@@ -222,13 +249,13 @@ def hair(look, side=1024):
     x, y = np.arange(width) + 0.5, (np.arange(side)[:, None] + 0.5) / side
     columns = []
     for k in range(VARIANTS):
-        alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
+        alpha, light = np.zeros((side, width)), np.full((side, width), 0.85)
         is_wisp = k >= VARIANTS - WISPS
         tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
-        for strand in range(6 if is_wisp else look["hairs"]):
+        for strand in range(5 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
-            edge = 0.08 * width
-            middle = edge + (width - 2 * edge) * rng.beta(1.5, 1.5)  # denser in the middle
+            edge = 0.1 * width
+            middle = edge + (width - 2 * edge) * rng.beta(1.3, 1.3)  # denser in the middle
             middle = middle + rng.normal() * 0.05 * width * y
             lock = (strand % look["locks"] + 0.5) / look["locks"] * width  # to which tips gather
             middle = middle + look["gather"] * (lock - middle) * y**1.5
@@ -238,20 +265,19 @@ def hair(look, side=1024):
                 rng.uniform(-0.06, look.get("starts", 0.03)),
                 rng.uniform(look["ends"], 1.0),
             )
-            thick = rng.uniform(2.0, 4.0) if is_wisp else rng.uniform(*look["thick"])
-            own = np.exp(
-                -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
-            )
+            thick = rng.uniform(*look["thick"]) * (0.8 if is_wisp else 1)
+            thin = (1.1 - 0.75 * (y / end) ** 2).clip(0.3)  # towards its tip
+            own = np.exp(-(((x - middle) / (thick * thin)) ** 2))
             own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
-            shade = rng.uniform(0.66, 1.12) - 0.12 * np.abs(x - middle) / thick
-            light = np.where(own > 0.25, shade, light)
-            alpha = np.maximum(alpha, own)
-        inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
+            shade = rng.uniform(*look.get("shades", (0.64, 1.14))) + 0.05 * np.sin(9 * y + turn[1])
+            light = light + own * (shade - light)
+            alpha = alpha + own * (1 - alpha)
+        inside = np.clip(np.minimum(x, width - x) / 3 - 0.4, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
     light = light[..., None] ** [0.85, 1.0, 1.1]  # thin strands let red light through
     colour = np.array(look["hair_colour"]) / 255 * 1.25 * light
-    return np.dstack([np.clip(colour, 0, 1), np.clip(1.35 * alpha, 0, 1)])
+    return np.dstack([np.clip(colour, 0, 1), np.clip(1.2 * alpha, 0, 1)])
 
 
 def texels(base, person):
@@ -271,7 +297,7 @@ def paint_scalp(picture, base, person):
     place, known = texels(base, person)
     known = known & (place[..., 1] > -6) & (place[..., 2] < 14)
     at = place[known]
-    within = over_line(at, look) + 0.28 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
+    within = over_line(at, look) + 0.16 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
     noise = np.random.default_rng(3).random((64, 4096))
     noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
     noise = (noise - noise.min()) / np.ptp(noise)
@@ -331,8 +357,10 @@ def _eye(look, side=512):
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
     corner = smooth((share - 1.15) / 1.1)[..., None]
-    white = np.array(look.get("white", (0.74, 0.70, 0.66))) * (1 - corner * [0.26, 0.38, 0.41])
-    white = white * (1 - 0.2 * veins[..., None] * [0.2, 1, 1])
+    white = np.array(look.get("white", (0.70, 0.665, 0.635))) * (1 - corner * [0.26, 0.38, 0.41])
+    white = white * (1 - 0.3 * veins[..., None] * [0.2, 1, 1])
+    spots = gaussian_filter(np.random.default_rng(4).normal(size=(side, side)), 12)
+    white = white * (1 + 0.035 * (spots / spots.std())[..., None] * [0.2, 1, 1.3])
     rng = np.random.default_rng(3)
     rays = gaussian_filter(rng.normal(size=(64, 2048)), (9, 3), mode="wrap")
     fine = gaussian_filter(rng.normal(size=(64, 2048)), (6, 1.2), mode="wrap")
@@ -341,15 +369,15 @@ def _eye(look, side=512):
     fibres = map_coordinates(rays, at, order=1, mode="wrap")
     iris = np.array(look["iris"]) / 255
     inner = iris * [1.35, 1.15, 0.8]  # light from above gathers in the lower half
-    depth = 1 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
+    depth = 0.95 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
     blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
     colour = (inner * (1 - blend) + iris * blend) * (1 + 0.22 * fibres)[..., None]
     colour = colour * depth[..., None]
-    ring = smooth((share - 0.68) / 0.30)[..., None]
-    colour = colour * (1 - 0.80 * ring)
-    pupil = np.clip((share - 0.37) / 0.06, 0, 1)[..., None]
+    ring = smooth((share - 0.62) / 0.34)[..., None]
+    colour = colour * (1 - 0.84 * ring)
+    pupil = np.clip((share - 0.31) / 0.07, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
-    edge = smooth((share - 0.88) / 0.25)[..., None]
+    edge = smooth((share - 0.87) / 0.30)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
 
 
@@ -364,7 +392,7 @@ def brow_crop(person):
 
 
 def _brow(base, person, side=512):
-    """Hairs of both brows over a soft ground, which fade to the rim of their mesh."""
+    """Hairs of both brows (512, 512, 4), and the soft ground of them (512, 512), to the rim of their mesh."""
     look = person.look
     path = "proxies/eyebrows/eyebrow{0}/textures/eyebrow{0}.png".format(look["brow"])
     alpha = np.asarray(Image.open(base.npm / path).convert("RGBA").getchannel("A"), float) / 255
@@ -387,10 +415,40 @@ def _brow(base, person, side=512):
         thick[own], inside = smooth((far - out.min()) / THICK_FROM), inside | own
     rim = smooth(distance_transform_edt(inside) / (0.05 * side))
     dense, ground = look["brow_hairs"]
-    alpha = np.clip(dense * hairs + ground * gaussian_filter(hairs, (6, 4)), 0, 1) * rim
-    alpha *= 0.35 + 0.65 * thick
+    share = rim * (0.35 + 0.65 * thick)
     colour = np.array(look["brow_colour"]) / 255 * (1.25 - 0.4 * hairs[..., None])
-    return np.dstack([colour, alpha])
+    alpha = np.clip(dense * hairs, 0, 1) * share
+    return np.dstack([colour, alpha]), ground * gaussian_filter(hairs * share, (9, 7))
+
+
+BROW_CM = 0.4
+"""How far from a brow's mesh the skin is of its ground."""
+
+
+def paint_brows(picture, base, person):
+    """Draw the ground of brows on the picture of the skin below them."""
+    look, width = person.look, PLACES["skin"][2]
+    _, ground = _brow(base, person)
+    low, high = brow_crop(person)
+    weights = np.array([(a, b, 8 - a - b) for a in range(9) for b in range(9 - a)]) / 8
+    points, places = [], []
+    for name in ("brow_L", "brow_R"):
+        part = person.parts[name]
+        points.append((weights @ part.points[part.drawn[part.faces]]).reshape(-1, 3))
+        places.append((weights @ ((part.uv - low) / (high - low))[part.faces]).reshape(-1, 2))
+    points, places = np.concatenate(points), np.concatenate(places)
+    at = [(1 - places[:, 1]) * len(ground) - 0.5, places[:, 0] * len(ground) - 0.5]
+    value = map_coordinates(ground, at, order=1, mode="nearest")
+    uv = placed(skin_uv(base.uv), "skin")
+    place, known = surface(person.skin, base.skin_faces, uv, base.uv_triangles, SIDE)
+    place, known = place[:, :width], known[:, :width]
+    inside = (place > points.min(0) - BROW_CM) & (place < points.max(0) + BROW_CM)
+    rows, columns = np.nonzero(known & inside.all(-1))
+    away, near = cKDTree(points).query(place[rows, columns], k=4)
+    share = value[near].mean(1) * smooth((BROW_CM - away[:, 0]) / 0.2)
+    skin = picture[rows, columns, :3]
+    mixed = skin + share[:, None] * (np.array(look["brow_colour"]) - skin)
+    picture[rows, columns, :3] = np.round(mixed)
 
 
 def atlas(base, person):
@@ -410,12 +468,13 @@ def atlas(base, person):
     put("skin", skin(base, person))
     put("hair", hair(look))
     put("eye", _eye(look))
-    put("brow", _brow(base, person))
+    put("brow", _brow(base, person)[0])
     put("teeth", teeth.picture(look))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
     put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.66, 0.64])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
-    alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
+    alpha = np.asarray(lash.getchannel("A"), float) / 255
+    alpha = np.minimum(1.2 * gaussian_filter(alpha, 0.7), 1) * (0.3 + 0.7 * look["lashes"])
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
     cloth = 1 + 0.015 * _noise((256, 256), 9, 4)
     put("shirt", np.clip(0.93 * cloth, 0, 1)[..., None].repeat(3, 2))
@@ -423,14 +482,18 @@ def atlas(base, person):
 
 
 def pores():
-    """Shade and tilt (256, 256, 3) of a square that repeats; 128 changes nothing."""
+    """Shade and tilt (512, 512, 3) of a square that repeats; 128 changes nothing."""
     shape = (PORES, PORES)
-    pits = np.clip((_noise(shape, 2.6, 19) - 0.9) / 1.1, 0, 1)
-    cells = 0.7 * _noise(shape, 2.0, 20) + 0.3 * _noise(shape, 5.0, 21)
-    high = 1 - 0.4 * pits + 0.2 * cells
+    pits = np.clip((_noise(shape, 3.4, 19) - 1.0) / 1.2, 0, 1)
+    high = -1.0 * pits + sum(
+        share * _noise(shape, width, 20 + k)
+        for k, (width, share) in enumerate(((2.6, 0.12), (5.0, 0.18), (10.0, 0.22), (24.0, 0.16)))
+    )
+    high -= high.mean()
     slope = [(np.roll(high, -1, axis) - np.roll(high, 1, axis)) for axis in (1, 0)]
-    tilt = [1 + 0.4 * part / part.std() for part in slope]
-    coded = np.stack([127.5 * part for part in (high / high.mean(), *tilt)], -1)
+    tilt = [1 + 0.34 * part / part.std() for part in slope]
+    shade = 1 + 0.4 * high / np.abs(high).max()
+    coded = np.stack([127.5 * part for part in (shade, *tilt)], -1)
     return np.clip(np.round(coded), 0, 255).astype(np.uint8)
 
 

@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from tools.heads.parts import Part, Person
 
-VARIANTS = 8
+VARIANTS = 16
 """Columns of strands in their picture; each card shows one, the last ones are wisps."""
-WISPS = 2
+WISPS = 4
 LINE = np.array([
     (0, 10.1), (14, 10.0), (27, 9.5), (38, 8.8), (47, 7.5), (54, 5.8), (61, 4.4), (67, 2.6),
     (72, 0.9), (78, 0.7), (82, 3.2), (88, 5.4), (104, 5.6), (116, 2.8), (126, -1.0), (138, -3.6),
@@ -25,6 +25,8 @@ AXIS_Z, ROUND_CM = -0.8, 7.6
 FINE = 3
 """Steps in which each part of a card is worked out."""
 DOWN = np.array([0.0, -1.0, 0.0])
+FRONT = (-10.2, 6.5)
+"""Height, cm, at which hair ends that hangs farther in front: below it no neck turns with the head."""
 
 
 def unit(x):
@@ -151,6 +153,14 @@ class Hair:
             way = top[:, None] * swept + (1 - top[:, None]) * sides
         return tangent(way, normal)
 
+    def tones(self, points):
+        """Colours (N, 3) of cards over that of their picture: neighbours differ little."""
+        least = self.look.get("least", 0.86)
+        share = 0.5 + 0.5 * np.sin(points @ [1.3, 0.7, 1.1]) * np.cos(points @ [-0.6, 1.2, 0.8])
+        light = least + (1 - least) * (0.6 * share + 0.4 * self.rng.random(len(points)))
+        warm = 0.03 * self.rng.normal(size=len(points))
+        return light[:, None] * (1 + warm[:, None] * [1.0, 0.0, -1.2])
+
     def ear(self, points):
         """1 at the ears, 0 far from them."""
         _, y, z = points.T / self.scale
@@ -223,12 +233,12 @@ class Hair:
         faces = np.concatenate([at + [0, 2, 1], at + [2, 3, 1]])
         far = np.linspace(0, 1, n)[:, None].repeat(2, 1)
         root = 1 if wisps else self.look["root"]
-        tones = tone[:, None, None] * (root + (1 - root) * smooth(far / 0.35))
-        return points.reshape(-1, 3), uv.reshape(-1, 2), faces, tones.ravel()
+        tones = tone[:, None, None] * (root + (1 - root) * smooth(far / 0.35))[..., None]
+        return points.reshape(-1, 3), uv.reshape(-1, 2), faces, tones.reshape(-1, 3)
 
 
 def grow(person: Person, hair: Hair) -> Part:
-    """Hair of a person; `tone` (drawn points) multiplies the colour."""
+    """Hair of a person; `tone` (drawn points, 3) multiplies the colour."""
     look, rng, s = person.look, hair.rng, person.size
     pieces = []
     for layer in look["layers"]:  # from the outside to the scalp
@@ -250,19 +260,19 @@ def grow(person: Person, hair: Hair) -> Part:
                    + layer.get("up", 0) * normal)  # fmt: skip
         uneven = (0.75, 1.08) if hair.is_long else (0.6, 1.2)
         high = s * layer["lift"] * rng.uniform(*uneven, count)
-        high *= np.clip(0.25 + within / 2.0, 0, 1)
+        high *= np.clip(0.12 + within / 2.2, 0, 1)
         curves, across = hair.grown(
             points, way, length, high, rise=s * layer.get("rise", 2.0), steps=layer["steps"], style=style,
         )  # fmt: skip
         if "wave" in layer:  # neighbours wave together
             far = np.linspace(0, 1, curves.shape[1])[None, :, None] * length[:, None, None]
             turn = (points @ [[0.5, 0.9, 0.2], [0.7, 0.3, 0.6], [0.2, 0.8, 0.5]])[:, None]
-            turn = turn + rng.normal(size=turn.shape) * 0.5
+            turn = turn + rng.normal(size=turn.shape) * 0.25
             curves = curves + layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / 2.4 + turn)
         low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
         curves, across = _cut(curves, across, low)
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
-        tone = layer.get("tone", 1.0) * rng.uniform(look.get("least", 0.76), 1.0, count)
+        tone = layer.get("tone", 1.0) * hair.tones(points)
         is_wisp = layer.get("wisps", False)
         roll, inset, taper = layer.get("roll", 0.2), layer.get("inset", 0), layer.get("taper", 0)
         pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset, taper))
@@ -297,7 +307,8 @@ def _cut(curves, across, low):
     both = np.concatenate([curves, across], 2)
     found = np.empty((count, len(share), 6))
     for k in range(count):
-        under = np.flatnonzero(curves[k, 1:, 1] < low[k])
+        y, z = curves[k, 1:, 1:].T
+        under = np.flatnonzero((y < low[k]) | (y < FRONT[0]) & (z > FRONT[1]))
         end = under[0] + 1 if len(under) else last
         found[k] = np.stack([np.interp(end * share, np.arange(last + 1), v) for v in both[k].T], 1)
     return found[..., :3], unit(found[..., 3:])

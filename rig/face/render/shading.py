@@ -56,13 +56,13 @@ VIEWS = {
 
 LIGHTS = (
     # direction to the light, colour times strength
-    ((-0.52, 0.55, 0.70), (1.31, 1.21, 1.09)),
-    ((0.80, 0.05, 0.60), (0.30, 0.33, 0.39)),
-    ((0.62, 0.42, -0.72), (0.75, 0.85, 1.00)),
+    ((-0.58, 0.58, 0.66), (1.20, 1.09, 0.96)),
+    ((0.80, 0.05, 0.60), (0.20, 0.225, 0.27)),
+    ((0.62, 0.42, -0.72), (0.85, 0.91, 1.00)),
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.6, 0.55, 0.5], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.45, 0.40, 0.36], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
 DEEP, DIM = (0.27, 0.08, 0.07), 0.5
@@ -80,10 +80,17 @@ CATCH = unit(np.array([-0.30, 0.30, 0.90]))
 """Where eyes reflect the soft first light."""
 WINDOW_TURN = 0.5
 """How far it goes to the other side of a camera that goes aside, so that irises show it."""
-IRIS = 0.3
+IRIS = 0.15
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE = 0.12, 0.17
-"""How far pores tilt the normals of skin, and how much they shade it."""
+PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.14, 0.12, 0.8
+"""How far pores tilt the normals of skin, and how much they shade it and vary its gloss."""
+SHEEN = 0.5
+"""Light of the sky that surfaces mirror at their edges, for what they scatter there."""
+STRANDS, TINT = 0.35, 3.2
+"""How far the highlights of light and dark strands of hair lie apart, and their colour over that of
+the hair."""
+RIM, HAIR_RIM = 0.35, 0.1
+"""Light of the sky at the edges of surfaces, and of hair."""
 CLOTH_PORES, CLOTH_SHADE = 6, 0.28
 """How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
 how much they shade it as a fabric's grain."""
@@ -141,7 +148,7 @@ uniform vec3 eye; uniform bool soft; uniform sampler2D atlas, creases, pores;
 out vec4 color_;
 const float SOLID = {SOLID};
 const vec3 WRAPS[{len(WRAPS)}] = vec3[{len(WRAPS)}]({wraps});
-vec3 n, v, wrap, diffuse, shine; float power, strength, facing; int kind;
+vec3 n, v, wrap, diffuse, shine; float power, strength, facing, strand; int kind;
 void lamp(vec3 d, vec3 c, float seen) {{
   float k = dot(n, d), bleed = kind == {SKIN} ? seen * (1.0 - seen) : 0.0;
   vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
@@ -150,6 +157,7 @@ void lamp(vec3 d, vec3 c, float seen) {{
   float gate = clamp(5.0 * k, 0.0, 1.0);
   if (kind == {HAIR}) {{  // a lamp shines across strands, which hang down along the surface
     float fall = (n.y * (k + facing) - d.y - v.y) / (both * sqrt(max(1.0 - n.y * n.y, 0.05)));
+    fall += {STRANDS} * (strand - 0.6);
     near = max(1.0 - fall * fall, 0.0); gate = clamp(0.3 + k, 0.0, 1.0);
   }}
   shine += gate * c * near / (power - power * near + near) * strength * seen;
@@ -162,11 +170,12 @@ void main() {{
   if (!thin && !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
-  float shade = 1.0, strand = 1.0, wet = 0.0, gloss = paint_.a;
+  float shade = 1.0, wet = 0.0, gloss = paint_.a; strand = 1.0;
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
-    shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
+    shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + {PORE_GLOSS} * pore.r;
+    n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
     float dark = crease * (1.0 - fold.a);
     shade *= 1.0 - dark; albedo.r *= 1.0 + {CREASE_RED} * dark;
@@ -183,9 +192,11 @@ void main() {{
     albedo = mix(albedo * (1.0 - {DIM} * dark), {_vec(DEEP)}, dark * dark); gloss *= 1.0 - dark;
   }}
   facing = dot(n, v); wrap = WRAPS[kind];
-  float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * 0.35;
+  float rim = kind == {EYE} ? 0.0 : kind == {HAIR} ? {HAIR_RIM} : {RIM};
+  rim *= pow(1.0 - max(facing, 0.0), 3.0);
   vec3 sky = {_vec(SKY)};
-  diffuse = (mix({_vec(GROUND)}, sky, 0.5 + 0.5 * n.y) + rim * sky) * light_.x; shine = vec3(0.0);
+  diffuse = (mix({_vec(GROUND)}, sky, 0.5 + 0.5 * n.y) + rim * sky) * light_.x;
+  shine = {SHEEN} * rim * light_.x * sky;
   if (kind <= {SKIN}) diffuse += (1.0 - light_.x) * (1.0 - light_.x) * {_vec(GLOW)};
   power = 14.0 + 340.0 * gloss * gloss;
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
@@ -195,6 +206,7 @@ void main() {{
     float glow = smoothstep(0.974, 0.994, dot(mirror, window));
     shine += (0.95 * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * wet;
   }}
+  if (kind == {HAIR}) shine *= {TINT} * albedo;
   vec3 linear = albedo * albedo * shade * diffuse + shine;
   linear = sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0));
   color_ = vec4(linear, soft ? tint.a : 1.0);
