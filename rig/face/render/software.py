@@ -29,6 +29,13 @@ class Screen:
     depth: Float32
 
 
+def front_faces(screen: Screen, faces: Int64) -> Int64:
+    """Faces that show their outside (counter-clockwise, y downwards)."""
+    ax, bx, cx = (screen.x[faces[:, k]] for k in range(3))
+    ay, by, cy = (screen.y[faces[:, k]] for k in range(3))
+    return faces[(bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < -1e-6]
+
+
 def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Float32, Float32]:
     """How vertex values (V, k) run over each face: at its first corner, per x and per y.
 

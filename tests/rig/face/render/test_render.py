@@ -16,7 +16,7 @@ from rig.face.mesh import FINE, HAIR, Mesh
 from rig.face.render import VIEWS, View
 from rig.face.render.picture import png, text_width, write_text
 from rig.face.render.shading import background, glsl
-from rig.face.render.software import Renderer, Screen, nearest_faces
+from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 
 PEOPLE = [identity.name for identity in IDENTITIES]
 SIZE = (72, 80)
@@ -200,13 +200,6 @@ def test_hair_has_strands_before_its_edge(person):
     rooted = hair[(high < 0.3) & (hair[:, 2] > 0) & (hair[:, 1] > 0)]
     before_hair = cKDTree(hair[high >= 0.3]).query(rooted)[0] > 0.25
     assert before_hair.sum() > 40
-
-
-def front_faces(screen, faces):
-    """Faces that show their outside (counter-clockwise, y downwards)."""
-    ax, bx, cx = (screen.x[faces[:, k]] for k in range(3))
-    ay, by, cy = (screen.y[faces[:, k]] for k in range(3))
-    return faces[(bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < -1e-6]
 
 
 def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndarray]:
