@@ -83,7 +83,7 @@ class ScaleOpening(Section):
     usual: Share = 0.77
     """Intensity from which the opening increases: between the normal and the strong takes of two
     corpora of actors."""
-    shown: Slope = 0.5
+    shown: Slope = 0.45
     """Increase of the opening per unit of an emotion's intensity in the voice above `middle`,
     decrease per unit below it, where an intensity of 1 or more is shown; in proportion under 1."""
     middle: Share = 0.95
