@@ -391,6 +391,11 @@ def _corner_light(shapes, person):
     return found
 
 
+def _depth_light(z, end):
+    """Light in the mouth by the place before the lips (cm, negative inside): none from `end` on."""
+    return 0.02 + 0.98 * pictures._smooth((z + end) / (end - 0.9))
+
+
 def _light(base, shapes, person, joined, picture):
     """Baked light at rest; of the mouth's inside with the mouth open."""
     side = picture.shape[0]
@@ -427,11 +432,11 @@ def _light(base, shapes, person, joined, picture):
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.10) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
-    depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
-    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.72, 0.5]),
-                        ("tongue", [0.9, 0.72])):  # fmt: skip
+    for part, least, end in (("teeth_upper", [0.85, 0.6], 3.1), ("teeth_lower", [0.66, 0.44], 2.7),
+                             ("tongue", [0.9, 0.72], 4.2)):  # fmt: skip
         own = joined.slices[part]
-        light[own] = np.maximum(light[own], least) * (depth[own] * _front(x[own]))[:, None]
+        share = _depth_light(x[own, 2] - front, end) * _front(x[own])
+        light[own] = np.maximum(light[own], least) * share[:, None]
     groove = joined.slices["tongue"]
     light[groove] *= 1 - 0.35 * np.exp(-((x[groove, :1] / 0.25) ** 2))
     across, high, far = x[: base.n_skin].T
@@ -439,7 +444,9 @@ def _light(base, shapes, person, joined, picture):
     inner = np.flatnonzero((away > 0.9) & (away < 14) & (shut[: base.n_skin, 0] < 0.45)
                            & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
                            & (high > -2.4) & (high < np.where(far < front - 5, 4.6, 2.4)))  # fmt: skip
-    light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
+    light[inner] = (
+        np.maximum(light[inner], 0.30) * (0.8 * _depth_light(far[inner] - front, 4.2))[:, None]
+    )
     cheek = np.flatnonzero(shapes.inside() & (contact > 0.25))  # folded: neighbours have one light
     near = cKDTree(x[cheek]).query(x[cheek], k=30)[1]
     light[cheek] = np.minimum(light[cheek][near].mean(1), [0.34, 0.2])

@@ -210,7 +210,7 @@ def _lids(base, person, place):
     dark = 0.3 + 0.45 * person.look["lashes"]
     dark = dark * (upper * roots[0] + 0.35 * (1 - upper) * roots[1])[..., None]
     flesh = np.exp(-(((away - 1.08) / 0.08) ** 2))[..., None] * (1 - dark)
-    return (1 - dark * [0.80, 0.85, 0.88]) * (1 - flesh * [0.02, 0.16, 0.14])
+    return (1 - dark * [0.80, 0.85, 0.88]) * (1 - flesh * [0.01, 0.09, 0.08])
 
 
 def _joined(base, person, colour):
@@ -491,7 +491,7 @@ def pores():
     )
     high -= high.mean()
     slope = [(np.roll(high, -1, axis) - np.roll(high, 1, axis)) for axis in (1, 0)]
-    tilt = [1 + 0.34 * part / part.std() for part in slope]
+    tilt = [1 + 0.26 * part / part.std() for part in slope]
     shade = 1 + 0.4 * high / np.abs(high).max()
     coded = np.stack([127.5 * part for part in (shade, *tilt)], -1)
     return np.clip(np.round(coded), 0, 255).astype(np.uint8)

@@ -250,7 +250,7 @@ def _enamel(name, look, v, rng):
     lobes = gaussian_filter(rng.normal(size=(len(v), PICTURE)), (20, 3), mode="nearest")
     colour = colour * (1 + 0.012 * lobes / lobes.std())[..., None]
     contact = np.exp(-(((1 - far) / 0.055) ** 2)) + 0.3 * np.exp(-(((1 - far) / 0.22) ** 2))
-    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.20, 0.31, 0.37])
+    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.13, 0.20, 0.24])
     by_gum = np.exp(-((np.maximum(v - _LINES["margin"], 0) / 0.02) ** 2))[..., None]
     colour = colour * (1 - by_gum * [0.20, 0.34, 0.36])
     fissure = np.exp(-(((v - _LINES["fissure"]) / 0.018) ** 2)) * (place > 2)
