@@ -87,7 +87,7 @@ def _column(curves: RigCurves, emotion: str, name: str, strip: Picture) -> Itera
 
 
 def _strip(waveform: np.ndarray, intensity: np.ndarray, color: bytes) -> Picture:
-    """The waveform in grey with the intensity (0 to 1, from the lower to the upper edge)."""
+    """The waveform in grey with the intensity (from 0 at the lower edge to 1, or what is above)."""
     width, height = FACE[0], STRIP_HEIGHT
     strip = np.empty((height, width, 3), np.uint8)
     strip[:] = BACK
@@ -101,7 +101,8 @@ def _strip(waveform: np.ndarray, intensity: np.ndarray, color: bytes) -> Picture
     )
     strip[(rows >= low) & (rows <= high)] = SOUND
     at = np.linspace(0, len(intensity) - 1, width)
-    line = (height - 6) * (1 - np.interp(at, range(len(intensity)), intensity)) + 3
+    share = np.interp(at, range(len(intensity)), intensity) / max(1, intensity.max())
+    line = (height - 6) * (1 - share) + 3
     steep = 1.2 + np.abs(np.gradient(line)) / 2
     strip[np.abs(rows - line) <= steep] = list(color)
     return strip
