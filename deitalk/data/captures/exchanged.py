@@ -28,7 +28,7 @@ FOLLOWS, LEAD = 0.4, 0.1
 """Correlation with the predicted jaw from which on a column above the mouth has the jaw's movement,
 if it is so much more than the jaw's own. Measured jaws of four people had .72 to .93, their brows
 and lids .25 at most; in our own takes brows reached .58, where the jaw had .81 and more."""
-MOUTH_FOLLOWS, JAW_LOST = 0.6, 0.3
+MOUTH_FOLLOWS, JAW_LOST = 0.6, 0.4
 """Correlation of another column of the mouth, and of a jaw that has not its own movement."""
 CROSSED = 1.0
 """Sum of two correlations across two pairs, less that of the two within them."""

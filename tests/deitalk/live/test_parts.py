@@ -10,7 +10,8 @@ from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
 from deitalk.live.activity import MOST_STEP, RunningActivity
 from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
-from deitalk.models.protocol import SpectraGrid, put, take
+from deitalk.models.protocol import SpectraGrid
+from deitalk.models.streams import put, take
 from deitalk.postprocess.gates import expression_share
 
 BANDS = len(BAND_EDGES_HZ) - 1

@@ -278,7 +278,8 @@ def test_a_service_fetches_at_its_start_and_a_request_never(run, tmp_path, monke
         (OSError(28, "No space left on device", "model.safetensors"), "the space"),
     ],
 )
-def test_each_cause_has_its_way_out(error, way):
+def test_each_cause_has_its_way_out(monkeypatch, error, way):
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", False)
     if isinstance(error, int):
         status, error = error, OSError("refused")
         error.response = SimpleNamespace(status_code=status)
