@@ -391,6 +391,13 @@ def _corner_light(shapes, person):
     return found
 
 
+def _light_around(skin, contact, light):
+    """Light of the skin around the lips, the nearest of each point, so that lips have no other."""
+    ring = np.flatnonzero((contact > 1.0) & (contact < 2.0))
+    near = cKDTree(skin[ring]).query(skin, k=60)[1]
+    return light[ring][near].mean(1)
+
+
 def _depth_light(z, end):
     """Light in the mouth by the place before the lips (cm, negative inside): none from `end` on."""
     return 0.02 + 0.98 * pictures._smooth((z + end) / (end - 0.9))
@@ -422,12 +429,15 @@ def _light(base, shapes, person, joined, picture):
         lit[joined.slices[part]] = True
     light[lit] = opened[lit]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
+    around = _light_around(person.skin, contact, light[: base.n_skin])
     least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
-    light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
+    least = np.minimum(least[:, None], around)
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], least)
     lit = pictures._smooth((contact - 0.08) / 0.12)
     lit *= pictures._smooth((1.0 - contact) / 0.5)
     lit *= pictures._smooth((person.normals[:, 2] - 0.1) / 0.3)  # normals shade lips already
-    light[: base.n_skin] = np.maximum(light[: base.n_skin], np.outer(lit, [0.95, 0.85]))
+    least = lit[:, None] * np.minimum([0.95, 0.85], around)
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], least)
     deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.60, 0.16])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.10) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()

@@ -173,7 +173,7 @@ def skin(base, person):
     detail = sum(a * _cloud(place, w, s) for a, w, s in
                  ((0.030, 0.03, 1), (0.020, 0.07, 2), (0.012, 0.2, 3), (0.012, 0.8, 4)))  # fmt: skip
     blood = sum(a * _cloud(place, w, s) for a, w, s in
-                ((0.016, 0.10, 5), (0.020, 0.3, 6), (0.026, 1.0, 10)))  # fmt: skip
+                ((0.014, 0.10, 5), (0.014, 0.3, 6), (0.014, 1.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
