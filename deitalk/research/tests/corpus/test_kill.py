@@ -36,7 +36,7 @@ from deitalk.signals import catch_signals
 from deitalk.research.corpus.build import Shard, build
 import sys
 catch_signals()
-shards = [Shard(f"espeak-{i:03d}", "espeak", 20.0, i) for i in range(4)]
+shards = [Shard(f"espeak-{i:03d}", "espeak", 120.0, i) for i in range(4)]
 build(Path(sys.argv[1]), shards, workers=2)
 """
 
