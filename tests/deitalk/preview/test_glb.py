@@ -248,7 +248,7 @@ def test_take_and_head_of_our_own_writers_are_shown(page, tmp_path):
     page.wait_for_selector(".sliders", timeout=120_000)
     shapes = read_glb(files[1])
     assert page.locator(".sliders span").all_inner_texts() == list(shapes.names)
-    page.locator(".sliders input").nth(shapes.index("jawOpen")).fill("1")
+    page.locator(".sliders input").nth(list(shapes.names).index("jawOpen")).fill("1")
     opened_jaw = shapes.neutral.vertices + shapes.delta("jawOpen")
     assert np.abs(vertices(page) - opened_jaw).max() < 1e-6
     assert page.complaints == []
