@@ -6,6 +6,7 @@ import json
 import os
 from bisect import bisect_right
 from fractions import Fraction
+from functools import cache
 from math import asin, atan2, cos, degrees, gcd, lcm, radians, sin
 from typing import Any
 
@@ -273,32 +274,35 @@ def split_curve(ends: list[int], tolerance: float, fit: Any) -> list[list[Any]]:
     return keys
 
 
-def fit_segment(values: list[float], first: int, last: int) -> tuple[float, float, float]:
-    """Return the largest error of a cubic through two frames' values, and its slopes per frame.
+def cubic_basis(frames: int) -> tuple[list[float], list[float], float, float, float, float]:
+    """Return what slopes of 1 at either end add between them, and the normal equations.
 
-    Least squares; the small weight keeps the slopes near the line where frames are few.
+    The small weight keeps the slopes near the line where frames are few.
     """
-    n = float(last - first)
-    slope = (values[last] - values[first]) / n
-    left, right = [], []
-    for i in range(1, last - first):
-        t = i / n
-        left.append(n * t * (1 - t) ** 2)
-        right.append(-n * t * t * (1 - t))
+    n = float(frames)
+    left = [i * (1 - i / n) ** 2 for i in range(1, frames)]
+    right = [-i * (i / n) * (1 - i / n) for i in range(1, frames)]
+    aa = sum([a * a for a in left]) + 1e-6
+    bb = sum([b * b for b in right]) + 1e-6
+    ab = sum([a * b for a, b in zip(left, right)])  # noqa: B905
+    return left, right, aa, bb, ab, aa * bb - ab * ab
+
+
+def fit_segment(values: list[float], first: int, last: int) -> tuple[float, float, float]:
+    """Return the largest error of a cubic through two frames' values, and its slopes per frame."""
+    left, right, aa, bb, ab, det = cubic_basis(last - first)
+    slope = (values[last] - values[first]) / float(last - first)
     off = [values[first + i] - values[first] - slope * i for i in range(1, last - first)]
-    aa = sum(a * a for a in left) + 1e-6
-    bb = sum(b * b for b in right) + 1e-6
-    ab = sum(a * b for a, b in zip(left, right))  # noqa: B905
-    ra = sum(a * r for a, r in zip(left, off))  # noqa: B905
-    rb = sum(b * r for b, r in zip(right, off))  # noqa: B905
-    det = aa * bb - ab * ab
+    ra = sum([a * r for a, r in zip(left, off)])  # noqa: B905
+    rb = sum([b * r for b, r in zip(right, off)])  # noqa: B905
     a, b = (ra * bb - rb * ab) / det, (rb * aa - ra * ab) / det
     errors = [abs(r - a * p - b * q) for r, p, q in zip(off, left, right)]  # noqa: B905
     return max(errors or [0.0]), slope + a, slope + b
 
 
-KEYS = (key_frames, curve_keys, split_curve, fit_segment)
+KEYS = (key_frames, curve_keys, split_curve, fit_segment, cubic_basis)
 """Functions that scripts for other programs have as text."""
+cubic_basis = cache(cubic_basis)
 
 
 def describe(values: Any) -> str:
