@@ -84,7 +84,7 @@ ZONES = (
     (0.0, 0.0, 1.3, 1.5, (1.03, 0.86, 0.85)),
     (1.5, -0.7, 0.7, 0.8, (1.02, 0.88, 0.88)),
     (0.0, 2.4, 0.8, 1.8, (1.0, 0.96, 0.95)),
-    (4.0, -0.4, 2.0, 1.7, (1.03, 0.88, 0.87)),
+    (4.0, -0.4, 2.4, 2.0, (1.02, 0.90, 0.89)),
     (5.6, 0.6, 1.6, 1.4, (1.02, 0.93, 0.92)),
     (0.0, -6.8, 1.4, 1.0, (1.01, 0.93, 0.92)),
     (2.3, 2.1, 1.2, 0.6, (0.92, 0.89, 0.93)),
@@ -104,9 +104,10 @@ NECK, NECK_CM = (-3.0, 6.0), 2.0
 """Below and behind which a seam of the skin lies on the neck, and how far each side takes from the
 other there, cm."""
 SHINE = (
-    (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
-    (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
-    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.24),
+    (0.0, 0.0, 0.9, 1.0, 0.15), (0.0, 2.4, 0.5, 1.8, 0.09), (0.0, 7.2, 3.0, 1.6, 0.08),
+    (4.6, 1.0, 1.4, 0.8, 0.09), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 1.8, 0.75, 0.24),
+    (3.0, -3.7, 0.9, 1.0, -0.10),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -179,7 +180,7 @@ def skin(base, person):
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
     grey = colour.mean(-1, keepdims=True)
-    colour = grey + (colour - grey) * look["saturation"]
+    colour = grey + (colour - grey) * (1 + (look["saturation"] - 1) * (1 - lips[..., None]))
     for _, (left, low, right, high) in MOVED[1:]:  # sockets: pale flesh at the corners of the eyes
         (x0, y0), (x1, y1) = (
             ((np.array(p) - LOW) / SIZE).clip(0, 1) for p in ((left, low), (right, high))
@@ -337,7 +338,7 @@ def paint_beard(picture, base, person):
         * smooth((z + 0.2) / 1.5)
     )
     lips = gaussian_filter(lips_of.outline(base, _sampled), 3)
-    below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
+    below = 1 - 0.35 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
     share = gaussian_filter(share, 12) / (gaussian_filter(known * 1.0, 12) + 1e-3)
     hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
