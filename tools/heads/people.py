@@ -80,7 +80,7 @@ PEOPLE = {
         "shine": 0.2, "hair_colour": (30, 26, 23),
         "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.4, 0.6), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.59, 0.55, 0.50),
-        "drawing": 0.55, "mottle": 0.75, "gain": (0.79, 0.785, 0.805), "saturation": 1.05, "flush": 0.15, "oil": 0.05, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
+        "drawing": 0.55, "mottle": 0.75, "gain": (0.82, 0.82, 0.845), "saturation": 1.08, "flush": 0.15, "oil": 0.05, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
         "lashes": 0.45, "lash_length": 0.65,
         "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.8, "hairs": 30, "thick": (1.6, 3.2), "locks": 2, "gather": 0.0,
         "slant": 0.0, "soft": 1.5, "roots": 0.45, "curl": 4.5, "fade": (0.25, 0.35), "scalp": 0.95,

@@ -82,7 +82,7 @@ WINDOW_TURN = 0.5
 """How far it goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.15
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.16, 0.13, 0.8
+PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.13, 0.13, 0.6
 """How far pores tilt the normals of skin, and how much they shade it and vary its gloss."""
 SHEEN = 0.25
 """Light of the sky that surfaces mirror at their edges, for what they scatter there."""
