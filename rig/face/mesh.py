@@ -33,7 +33,7 @@ class Maps:
         return self.atlas
 
 
-PORES = 12.0
+PORES = 30.0
 NO_MAPS = Maps(
     np.full((2, 2, 4), 255, np.uint8),
     np.full((2, 2, 4), (128, 128, 128, 255), np.uint8),

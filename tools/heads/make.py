@@ -313,7 +313,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     pictures.paint_brows(picture, base, person)
     gloss[slices["hair"]] = look["shine"]
     within = smooth(hair.high / 0.8)
-    gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin])
+    gloss[slices["skin"]] += pictures.shine(shapes.average[: base.n_skin]) + look.get("oil", 0)
     gloss[slices["skin"]] += lips.gloss(shapes.average[: base.n_skin])
     gloss[slices["skin"]] *= 1 - 0.5 * shapes.inside()
     for center, radius in person.eyes:  # the wet rims of lids

@@ -12,7 +12,8 @@ root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides
 whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
-noise and ``flesh`` the colour of the corners of the eyes; ``lip`` is a factor on the picture's mean colour
+noise and ``flesh`` the colour of the corners of the eyes; ``gain`` is a power of its colours (of all, or of red,
+green and blue) and ``oil`` what its gloss has more; ``lip`` is a factor on the picture's mean colour
 of lips, ``enamel``, ``gum`` and ``mucosa`` are colours in the mouth (0 to 1). ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are. ``shades`` are the darkest and lightest strands,
 ``lash_length`` the length of lashes, for 1 of the package's.
@@ -29,7 +30,7 @@ PEOPLE = {
         "shine": 0.45, "hair_colour": (92, 62, 46),
         "brow": "001", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (66, 70, 60), "lip": (0.87, 0.77, 0.77),
-        "drawing": 0.55, "mottle": 0.6, "gain": 0.97, "saturation": 1.0, "flush": 0.42, "freckles": 0.35, "creases": 0.8, "lashes": 0.5,
+        "drawing": 0.55, "mottle": 0.6, "gain": 0.95, "saturation": 0.9, "flush": 0.36, "freckles": 0.35, "creases": 0.8, "lashes": 0.5,
         "style": "long", "ends": 0.86, "tips": 0.2, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 46, "thick": (1.0, 2.2),
         "locks": 4, "gather": 0.12, "slant": 1.2, "narrow": 0.5, "starts": 0.07, "soft": 1.0, "part_share": 0.32, "brow_hairs": (0.85, 0.22),
         "curl": 0.4, "scalp": 0.9, "volume": 1.3, "fade": (0.12, 0.4), "least": 0.84, "roots": 0.45,
@@ -57,7 +58,7 @@ PEOPLE = {
         "shine": 0.36, "hair_colour": (54, 43, 35),
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
         "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.83, 0.83, 0.81),
-        "drawing": 0.4, "mottle": 0.55, "gain": 1.02, "saturation": 0.92, "flush": 0.4, "freckles": 0.3, "creases": 1.0,
+        "drawing": 0.28, "mottle": 0.55, "gain": 1.06, "saturation": 0.86, "flush": 0.28, "oil": 0.02, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.4, "lash_length": 0.65,
         "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.36, "sweep": -1.0, "root": 0.55, "hairs": 28, "thick": (0.8, 2.0), "locks": 2, "gather": 0.6, "tips": 0.35,
         "slant": 0.3, "soft": 2.0, "roots": 0.7, "brow_hairs": (1.3, 0.35), "fade": (0.2, 0.3), "narrow": 0.5, "curl": 0.7, "scalp": 0.95,
@@ -79,7 +80,7 @@ PEOPLE = {
         "shine": 0.2, "hair_colour": (30, 26, 23),
         "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.4, 0.6), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.59, 0.55, 0.50),
-        "drawing": 0.55, "mottle": 0.75, "gain": 0.80, "saturation": 1.0, "flush": 0.35, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
+        "drawing": 0.55, "mottle": 0.75, "gain": (0.82, 0.82, 0.845), "saturation": 1.08, "flush": 0.15, "oil": 0.05, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
         "lashes": 0.45, "lash_length": 0.65,
         "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.8, "hairs": 30, "thick": (1.6, 3.2), "locks": 2, "gather": 0.0,
         "slant": 0.0, "soft": 1.5, "roots": 0.45, "curl": 4.5, "fade": (0.25, 0.35), "scalp": 0.95,
@@ -97,7 +98,7 @@ PEOPLE = {
         "shine": 0.42, "hair_colour": (105, 75, 53),
         "brow": "001", "brow_colour": (96, 72, 52), "shirt": "female_casualsuit01",
         "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.88, 0.83, 0.83),
-        "mottle": 0.4, "gain": 0.95, "saturation": 1.0, "flush": 0.4, "freckles": 0.6, "creases": 0.3,
+        "mottle": 0.4, "gain": 0.95, "saturation": 0.92, "flush": 0.46, "freckles": 0.6, "creases": 0.3,
         "lashes": 0.35, "lash_length": 0.85, "purse": 0.68, "drawing": 0.6, "brow_tilt": -0.04, "brow_hairs": (0.75, 0.2),
         "style": "long", "ends": 0.78, "tips": 0.35, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 46, "thick": (1.0, 2.2),
         "locks": 4, "gather": 0.1, "slant": 1.0, "narrow": 0.5, "starts": 0.07, "soft": 1.0, "part_share": 0.2,

@@ -84,10 +84,10 @@ ZONES = (
     (0.0, 0.0, 1.3, 1.5, (1.03, 0.86, 0.85)),
     (1.5, -0.7, 0.7, 0.8, (1.02, 0.88, 0.88)),
     (0.0, 2.4, 0.8, 1.8, (1.0, 0.96, 0.95)),
-    (4.0, -0.4, 2.0, 1.7, (1.03, 0.88, 0.87)),
+    (4.0, -0.4, 2.4, 2.0, (1.02, 0.90, 0.89)),
     (5.6, 0.6, 1.6, 1.4, (1.02, 0.93, 0.92)),
     (0.0, -6.8, 1.4, 1.0, (1.01, 0.93, 0.92)),
-    (2.3, 2.1, 1.2, 0.6, (0.88, 0.85, 0.91)),
+    (2.3, 2.1, 1.2, 0.6, (0.92, 0.89, 0.93)),
     (3.4, 1.75, 1.7, 0.35, (0.95, 0.92, 0.93)),
     (3.2, 4.25, 1.7, 0.55, (0.94, 0.87, 0.86)),
     (0.0, 7.6, 4.5, 2.0, (1.0, 0.985, 0.95)),
@@ -104,9 +104,10 @@ NECK, NECK_CM = (-3.0, 6.0), 2.0
 """Below and behind which a seam of the skin lies on the neck, and how far each side takes from the
 other there, cm."""
 SHINE = (
-    (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
-    (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
-    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.24),
+    (0.0, 0.0, 0.9, 1.0, 0.15), (0.0, 2.4, 0.5, 1.8, 0.09), (0.0, 7.2, 3.0, 1.6, 0.08),
+    (4.6, 1.0, 1.4, 0.8, 0.09), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 1.8, 0.75, 0.24),
+    (3.0, -3.7, 0.9, 1.0, -0.10),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -171,15 +172,15 @@ def skin(base, person):
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in
-                 ((0.030, 0.03, 1), (0.020, 0.07, 2), (0.012, 0.2, 3), (0.012, 0.8, 4)))  # fmt: skip
+                 ((0.018, 0.07, 2), (0.008, 0.2, 3)))  # fmt: skip
     blood = sum(a * _cloud(place, w, s) for a, w, s in
-                ((0.014, 0.10, 5), (0.014, 0.3, 6), (0.014, 1.0, 10)))  # fmt: skip
+                ((0.010, 0.06, 5), (0.008, 0.12, 6), (0.008, 2.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
     grey = colour.mean(-1, keepdims=True)
-    colour = grey + (colour - grey) * look["saturation"]
+    colour = grey + (colour - grey) * (1 + (look["saturation"] - 1) * (1 - lips[..., None]))
     for _, (left, low, right, high) in MOVED[1:]:  # sockets: pale flesh at the corners of the eyes
         (x0, y0), (x1, y1) = (
             ((np.array(p) - LOW) / SIZE).clip(0, 1) for p in ((left, low), (right, high))
@@ -337,13 +338,13 @@ def paint_beard(picture, base, person):
         * smooth((z + 0.2) / 1.5)
     )
     lips = gaussian_filter(lips_of.outline(base, _sampled), 3)
-    below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
+    below = 1 - 0.35 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
     share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
     share = gaussian_filter(share, 12) / (gaussian_filter(known * 1.0, 12) + 1e-3)
     hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
     share = (look["beard"] * share * hairs)[..., None]
     skin = picture[:, :width, :3] / 255
-    dark = skin * np.array([0.52, 0.53, 0.56])
+    dark = skin * np.array([0.50, 0.54, 0.60])
     picture[:, :width, :3] = np.round(255 * (skin * (1 - share) + dark * share))
 
 
@@ -487,13 +488,15 @@ def pores():
     pits = np.clip((_noise(shape, 3.4, 19) - 1.0) / 1.2, 0, 1)
     high = -1.0 * pits + sum(
         share * _noise(shape, width, 20 + k)
-        for k, (width, share) in enumerate(((2.6, 0.12), (5.0, 0.18), (10.0, 0.22), (24.0, 0.16)))
+        for k, (width, share) in enumerate(((2.6, 0.12), (5.0, 0.22), (10.0, 0.22), (20.0, 0.08)))
     )
-    high -= high.mean()
-    slope = [(np.roll(high, -1, axis) - np.roll(high, 1, axis)) for axis in (1, 0)]
-    tilt = [1 + 0.26 * part / part.std() for part in slope]
-    shade = 1 + 0.4 * high / np.abs(high).max()
-    coded = np.stack([127.5 * part for part in (shade, *tilt)], -1)
+    # The picture's first row is the left ear's, its first column the crown's: to x and y.
+    slope = [np.roll(high, -1, axis) - np.roll(high, 1, axis) for axis in (0, 1)]
+    tilt = [0.26 * part / part.std() for part in slope]
+    tone = sum(share * _noise(shape, width, 30 + k)
+               for k, (width, share) in enumerate(((4.0, 0.5), (9.0, 0.45), (18.0, 0.25))))  # fmt: skip
+    shade = (high - high.mean()) / high.std() + tone / tone.std()
+    coded = np.stack([127.5 * (1 + part) for part in (0.22 * shade / shade.std(), *tilt)], -1)
     return np.clip(np.round(coded), 0, 255).astype(np.uint8)
 
 

@@ -56,13 +56,13 @@ VIEWS = {
 
 LIGHTS = (
     # direction to the light, colour times strength
-    ((-0.58, 0.58, 0.66), (1.20, 1.09, 0.96)),
-    ((0.80, 0.05, 0.60), (0.20, 0.225, 0.27)),
+    ((-0.58, 0.58, 0.66), (1.26, 1.165, 1.06)),
+    ((0.80, 0.05, 0.60), (0.30, 0.32, 0.36)),
     ((0.62, 0.42, -0.72), (0.85, 0.91, 1.00)),
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.45, 0.40, 0.36], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.40, 0.28, 0.23], [0.45, 0.40, 0.36], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
 DEEP, DIM = (0.27, 0.08, 0.07), 0.5
@@ -82,16 +82,16 @@ WINDOW_TURN = 0.5
 """How far it goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.15
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.14, 0.12, 0.8
+PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.13, 0.13, 0.6
 """How far pores tilt the normals of skin, and how much they shade it and vary its gloss."""
-SHEEN = 0.5
+SHEEN = 0.25
 """Light of the sky that surfaces mirror at their edges, for what they scatter there."""
 STRANDS, TINT = 0.35, 3.2
 """How far the highlights of light and dark strands of hair lie apart, and their colour over that of
 the hair."""
 RIM, HAIR_RIM = 0.35, 0.1
 """Light of the sky at the edges of surfaces, and of hair."""
-CLOTH_PORES, CLOTH_SHADE = 6, 0.28
+CLOTH_PORES, CLOTH_SHADE = 6, 0.2
 """How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
 how much they shade it as a fabric's grain."""
 SKY, GROUND = (0.175, 0.19, 0.22), (0.085, 0.07, 0.065)

@@ -107,7 +107,8 @@ class Renderer:
         # The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes.
         maps = mesh.maps
 
-        wanted = 1.5 * pixels_per_cm * 1024 / TEXELS_PER_CM
+        texels = 1.5 * pixels_per_cm * 1024
+        wanted = texels / TEXELS_PER_CM
 
         def shrunk(picture: Picture, wanted: float) -> Picture:
             halvings = int(np.ceil(np.log2(len(picture) / wanted)))
@@ -121,7 +122,8 @@ class Renderer:
             return np.asarray(image.reduce(2**halvings))
 
         atlas = shrunk(maps.atlas_for(wanted), wanted)
-        creases, pores = shrunk(maps.creases, wanted), shrunk(maps.pores, wanted / PORES)
+        creases = shrunk(maps.creases, wanted)
+        pores = shrunk(maps.pores, texels / SKIN_TEXELS_PER_CM / PORES)
         self._maps = (_packed(atlas), _packed(creases), _packed(pores))
         alpha = atlas[..., 3]
         self._alpha = _neighbours(alpha)
@@ -238,5 +240,5 @@ def _parts(mesh: Mesh) -> Int32:
     return np.where(is_hair, np.int32(-1), label[mesh.weld])
 
 
-TEXELS_PER_CM = 28.0
-"""Of an atlas of 1,024 texels at the middle of a face."""
+TEXELS_PER_CM, SKIN_TEXELS_PER_CM = 28.0, 12.0
+"""Of an atlas of 1,024 texels, of locks and at the middle of a face."""
