@@ -30,8 +30,8 @@ SKIN = (0.80, 0.62, 0.53)
 _STILL = 1e-5
 """A vertex is left out of a morph target if it moves less than this share of the mesh's size."""
 
-_NORMAL_STILL = 2e-3
-"""The same for normals: a tenth of a degree."""
+_NORMAL_STILL = 3e-3
+"""The same for normals: a sixth of a degree."""
 
 
 Move = tuple[int, str, NDArray[Any]]
@@ -251,7 +251,10 @@ def write_glb(
 
 
 def _add_mesh(
-    builder: GlbBuilder, shapes: ShapeSet | SparseShapes, colours: NDArray[Any] | None, metres: float
+    builder: GlbBuilder,
+    shapes: ShapeSet | SparseShapes,
+    colours: NDArray[Any] | None,
+    metres: float,
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
