@@ -464,13 +464,7 @@ class Head:
             for start in range(0, len(out), FEW):
                 few = slice(start, start + FEW)
                 out[few] += (weights[few, used] @ table).reshape(-1, *out.shape[1:])
-        for s, ids, eye, least in zip("LR", self.lids, self.eyes, self.lid_least, strict=True):
-            if f"lid_{s}" not in steps:
-                continue
-            away = np.take(out, ids, axis=1) - eye[:3].astype(np.float32)
-            far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
-            frame, n = np.nonzero(far < least)
-            out[frame, ids[n]] += away[frame, n] * (least[n] / far[frame, n] - 1)[:, None]
+        self._clear_eyes(out, steps)
         if "lips" in steps:
             seal_lips(out, motion.lips, self.sealed(halves), motion.fade)
         if "follow" in steps:
@@ -484,6 +478,16 @@ class Head:
                 out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         if "seam" in steps:
             out[:, self.slices["seam"]] = out[:, self.seam]
+
+    def _clear_eyes(self, out: Float32, steps: tuple[str, ...]) -> None:
+        """Keep lids out of the eyes."""
+        for s, ids, eye, least in zip("LR", self.lids, self.eyes, self.lid_least, strict=True):
+            if f"lid_{s}" not in steps:
+                continue
+            away = np.take(out, ids, axis=1) - eye[:3].astype(np.float32)
+            far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
+            frame, n = np.nonzero(far < least)
+            out[frame, ids[n]] += away[frame, n] * (least[n] / far[frame, n] - 1)[:, None]
 
     @cached_property
     def _displacements(self) -> "csr_array":

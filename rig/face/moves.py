@@ -16,7 +16,8 @@ def moves(head: Head, values: Float64) -> list[tuple[Int64, Float32]]:
     halves = motion.halves(values)
     shown, reach = motion.weights(halves) != 0, _reach(head)
     degrees, still = (
-        np.stack(gaze_degrees(v, head.convergence)) for v in (values, default_controls().rest[None])
+        np.stack(gaze_degrees(v, head.convergence))
+        for v in (values, default_controls().rest[None].astype(np.float64))
     )
     asked = {
         "lips": np.concatenate(head.sealed(halves), axis=1).any(axis=1),

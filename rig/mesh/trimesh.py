@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32, Float64, Int64
+from rig.arrays import AnyFloat, Float32, Float64, Int64
 from rig.errors import MeshError, TopologyError, listed
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
 
@@ -229,15 +229,15 @@ class MovedNormals:
             product -= self._products[axis][touched]
             sums = np.bincount(corners.ravel(), np.tile(product, 3), len(turned))
             change[:, axis] = sums + self._sums[axis][turned]
-        change = _unit(change)
+        change[:] = _unit(change)
         for axis, normals in enumerate(self._normals):
             change[:, axis] -= normals[turned]
         return turned, change
 
 
-def _unit(vectors: Float64) -> Float64:
+def _unit(vectors: AnyFloat) -> Any:
     lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))[..., None]
-    unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    unit: Any = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
     return unit
 
 

@@ -265,7 +265,9 @@ def _motion(shapes: ShapeSet) -> Arrays:
     flat = shapes.deltas.reshape(len(shapes.names), -1)
 
     def pose(values: Float64) -> Float32:
-        weights = poses.weights(RigCurves(values, controls.names), linear=True).weights
+        weights = poses.weights(
+            RigCurves(values.astype(np.float32), controls.names), linear=True
+        ).weights
         rest = shapes.neutral.vertices.astype(np.float32)
         return rest + (weights @ flat).reshape(len(values), -1, 3)
 
