@@ -235,9 +235,9 @@ class MovedNormals:
         return turned, change
 
 
-def _unit(vectors: AnyFloat) -> Any:
+def _unit(vectors: AnyFloat) -> Float64:
     lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))[..., None]
-    unit: Any = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
     return unit
 
 
