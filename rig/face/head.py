@@ -54,6 +54,8 @@ MOUTH_REACH = np.array([[1.0, 2.5, 4.0], [1.0, 1.8, 0.0]])
 BATCH, FEW, MANY = 64, 16, 16
 """Frames that are posed together; of these, those whose sums of shapes stay in the cache; weights a
 shape that are worth the import of sparse matrices."""
+STEPS = ("lid_L", "lid_R", "lips", "follow", "eyes", "seam")
+"""What a pose does after its shapes, in this order."""
 Half = tuple[str, ...]
 LID_RAISERS = ("eye_cheekRaise", "eye_squintInner", "eye_eyelidD", "mouth_cornerPull", "nose")
 """Controls that raise the lower lid, which a blink takes back so that lids never cross."""
@@ -321,6 +323,7 @@ class Head:
         self.near_weight = stored["weight"].astype(np.float32)
         self.near_weight /= self.near_weight.sum(1, keepdims=True)
         self.lids = [stored[f"lid_{s}"].astype(np.int64) for s in "LR"]
+        self.seam = stored["weld"][self.slices["seam"]].astype(np.int64)
         self.lid_rims = [stored[f"lid_rim_{s}"].astype(np.int64) for s in "LR"]
         self.lid_least = [
             np.minimum(np.linalg.norm(self.straight[ids] - eye[:3], axis=1), LID_CLEARANCE * eye[3])
@@ -445,7 +448,7 @@ class Head:
             self._pose(frames[k : k + BATCH], out[k : k + BATCH])
         return out[0] if table.ndim == 1 else out
 
-    def _pose(self, frames: Float64, out: Float32) -> None:
+    def _pose(self, frames: Float64, out: Float32, steps: tuple[str, ...] = STEPS) -> None:
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
@@ -461,21 +464,30 @@ class Head:
             for start in range(0, len(out), FEW):
                 few = slice(start, start + FEW)
                 out[few] += (weights[few, used] @ table).reshape(-1, *out.shape[1:])
-        for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
+        self._clear_eyes(out, steps)
+        if "lips" in steps:
+            seal_lips(out, motion.lips, self.sealed(halves), motion.fade)
+        if "follow" in steps:
+            shift = np.take(out, self.near, axis=1) - self._rest[self.near]
+            out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
+        if "eyes" in steps:
+            pitch, yaw = gaze_degrees(frames, self.convergence)
+            for place, side in enumerate("LR"):
+                part, center = self.slices[f"eye_{side}"], self.eyes[place, :3]
+                turn = _gaze_matrix(pitch[:, place], yaw[:, place])
+                out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
+        if "seam" in steps:
+            out[:, self.slices["seam"]] = out[:, self.seam]
+
+    def _clear_eyes(self, out: Float32, steps: tuple[str, ...]) -> None:
+        """Keep lids out of the eyes."""
+        for s, ids, eye, least in zip("LR", self.lids, self.eyes, self.lid_least, strict=True):
+            if f"lid_{s}" not in steps:
+                continue
             away = np.take(out, ids, axis=1) - eye[:3].astype(np.float32)
             far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
             frame, n = np.nonzero(far < least)
             out[frame, ids[n]] += away[frame, n] * (least[n] / far[frame, n] - 1)[:, None]
-        seal_lips(out, motion.lips, self._sealed(halves), motion.fade)
-        shift = np.take(out, self.near, axis=1) - self._rest[self.near]
-        out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
-        pitch, yaw = gaze_degrees(frames, self.convergence)
-        for place, side in enumerate("LR"):
-            part, center = self.slices[f"eye_{side}"], self.eyes[place, :3]
-            turn = _gaze_matrix(pitch[:, place], yaw[:, place])
-            out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
-        seam = self.slices["seam"]
-        out[:, seam] = out[:, self._stored["weld"][seam]]
 
     @cached_property
     def _displacements(self) -> "csr_array":
@@ -488,7 +500,7 @@ class Head:
         values = motion.delta.ravel() * np.float32(motion.step)
         return csr_array((values, columns, 3 * motion.starts), shape=size)
 
-    def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
+    def sealed(self, halves: Float64) -> tuple[Float64, Float64]:
         """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""
         inputs = halves @ self.motion.bind
         upper, lower = (np.clip(inputs @ profile, 0, 1) for profile in self.motion.profiles)

@@ -24,7 +24,7 @@ from rig.face.identity import Identity
 from rig.face.mesh import EYE, FINE, HAIR
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
-from rig.mesh.shapes import ShapeSet
+from rig.mesh.shapes import SparseShapes
 from rig.retarget.morph_head import (
     EYE_ROUGHNESS,
     HAIR_ROUGHNESS,
@@ -239,7 +239,7 @@ def _curves(path: Path, stage: Any, prim: Any, fps: float | None) -> RigCurves:
 
 
 def _mesh(
-    pxr: Any, stage: Any, skeleton: Any, head: ShapeSet, colours: Float64
+    pxr: Any, stage: Any, skeleton: Any, head: SparseShapes, colours: Float64
 ) -> tuple[Any, list[str]]:
     """Define the mesh with a blend shape prim per morph target; return it and their names."""
     neutral = head.neutral
@@ -259,29 +259,29 @@ def _mesh(
     ones = pxr.Vt.FloatArray.FromNumpy(np.ones(len(joints), np.float32))
     binding.CreateJointWeightsPrimvar(False, 1).Set(ones)
     shapes, targets = [], []
-    for name, delta in zip(head.names, head.deltas, strict=True):
+    for name, (vertices, delta) in zip(head.names, head.moved, strict=True):
         token = pxr.Tf.MakeValidIdentifier(name)
         shape = pxr.UsdSkel.BlendShape.Define(stage, f"/head/face/{token}")
-        moving = np.flatnonzero(np.linalg.norm(delta, axis=1) > STILL_CM).astype(np.int32)
-        shape.CreateOffsetsAttr(vectors(np.ascontiguousarray(delta[moving], np.float32)))
-        shape.CreatePointIndicesAttr(integers(moving))
+        moves = np.linalg.norm(delta, axis=1) > STILL_CM
+        shape.CreateOffsetsAttr(vectors(delta[moves]))
+        shape.CreatePointIndicesAttr(integers(vertices[moves].astype(np.int32)))
         shapes.append(token)
         targets.append(shape.GetPath())
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
     return mesh, shapes
 
 
-def _extent(head: ShapeSet, weights: AnyFloat) -> Float32:
+def _extent(head: SparseShapes, weights: AnyFloat) -> Float32:
     """Return a box around the head in all frames [shape=(2, 3)], cm.
 
     Each vertex moves at most by the sum of its shapes at their greatest weights of the clip.
     """
     low = head.neutral.vertices.astype(np.float64)
     high = low.copy()
-    for weight, delta in zip(weights.max(axis=0), head.deltas, strict=True):
+    for weight, (vertices, delta) in zip(weights.max(axis=0), head.moved, strict=True):
         if weight > 0:
-            low += weight * np.minimum(delta, 0)
-            high += weight * np.maximum(delta, 0)
+            low[vertices] += weight * np.minimum(delta, 0)
+            high[vertices] += weight * np.maximum(delta, 0)
     return np.stack([low.min(axis=0), high.max(axis=0)]).astype(np.float32)
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32, Int64
+from rig.arrays import Int64
 from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
 from rig.limits import MESH_BYTES
-from rig.mesh.shapes import ShapeSet
+from rig.mesh.shapes import ShapeSet, SparseShapes
 from rig.mesh.trimesh import MovedNormals
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
@@ -30,8 +30,8 @@ SKIN = (0.80, 0.62, 0.53)
 _STILL = 1e-5
 """A vertex is left out of a morph target if it moves less than this share of the mesh's size."""
 
-_NORMAL_STILL = 2e-3
-"""The same for normals: a tenth of a degree."""
+_NORMAL_STILL = 3e-3
+"""The same for normals: a sixth of a degree."""
 
 
 Move = tuple[int, str, NDArray[Any]]
@@ -121,13 +121,12 @@ class GlbBuilder:
         """Append the array's bytes, aligned to 4; return the index of its bufferView."""
         while len(self.binary) % 4:
             self.binary.append(0)
-        data = array.tobytes()
         view: dict[str, Any] = {
-            "buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)
+            "buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes
         }  # fmt: skip
         if target is not None:
             view["target"] = target
-        self.binary += data
+        self.binary += np.ascontiguousarray(array).data
         views = self.json.setdefault("bufferViews", [])
         views.append(view)
         return len(views) - 1
@@ -151,8 +150,13 @@ class GlbBuilder:
             fields |= _bounds(array)
         return self.accessor(**fields)
 
-    def sparse(self, count: int, moving: Int64, delta: NDArray[Any]) -> int:
-        """Accessor of `count` displacements that stores those of `moving` vertices (§3.6.2.3)."""
+    def sparse(
+        self, count: int, moving: Int64, delta: NDArray[Any], *, is_bounded: bool = True
+    ) -> int:
+        """Accessor of `count` displacements that stores those of `moving` vertices (§3.6.2.3).
+
+        Least and greatest are stated of positions, which must have them (§3.7.2.2).
+        """
         delta, is_long = np.asarray(delta, "<f4"), count > 2**16
         fields: dict[str, Any] = {"componentType": _FLOAT, "count": count, "type": "VEC3"}
         if len(moving):
@@ -164,18 +168,23 @@ class GlbBuilder:
                 },
                 "values": {"bufferView": self.view(delta)},
             }  # fmt: skip
-        still = np.zeros((int(len(moving) < count), 3), "<f4")
-        return self.accessor(**fields, **_bounds(np.concatenate([delta, still])))
+        if is_bounded:
+            still = np.zeros((int(len(moving) < count), 3), "<f4")
+            fields |= _bounds(np.concatenate([delta, still]))
+        return self.accessor(**fields)
 
 
 def _bounds(array: NDArray[Any]) -> dict[str, list[float]]:
-    columns = np.ascontiguousarray(array.reshape(len(array), -1).T)
-    return {"min": columns.min(axis=1).tolist(), "max": columns.max(axis=1).tolist()}
+    columns = array.reshape(len(array), -1).T
+    return {
+        "min": [float(column.min()) for column in columns],
+        "max": [float(column.max()) for column in columns],
+    }
 
 
 def write_glb(
     path: Path | str,
-    shapes: ShapeSet,
+    shapes: ShapeSet | SparseShapes,
     *,
     animation: WeightAnimation | None = None,
     colours: NDArray[Any] | None = None,
@@ -191,7 +200,7 @@ def write_glb(
     ----------
     path : Path or str
         The .glb file.
-    shapes : ShapeSet
+    shapes : ShapeSet or SparseShapes
         y up, facing +z.
     animation : WeightAnimation, optional
         Weights of the shapes, in their order.
@@ -242,24 +251,30 @@ def write_glb(
 
 
 def _add_mesh(
-    builder: GlbBuilder, shapes: ShapeSet, colours: NDArray[Any] | None, metres: float
+    builder: GlbBuilder,
+    shapes: ShapeSet | SparseShapes,
+    colours: NDArray[Any] | None,
+    metres: float,
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
-    still, targets = (_STILL * mesh.size) ** 2, []
-    deltas = shapes.deltas if len(used) == shapes.deltas.shape[1] else shapes.deltas[:, used]
-    moved = [_moving(delta, still) for delta in deltas]
-    moves = np.zeros(len(used), bool)
-    moves[np.concatenate([[], *moved]).astype(np.int64)] = True
-    normals = MovedNormals(mesh, moves)
-    for delta, moving in zip(deltas, moved, strict=True):
-        shift = np.take(delta, moving, axis=0)
+    still, moved = (_STILL * mesh.size) ** 2, []
+    place = np.full(len(shapes.neutral.vertices), -1)
+    place[used] = np.arange(len(used))
+    for vertices, shift in shapes.moved:
+        at = place[vertices]
+        moves = (np.einsum("vc,vc->v", shift, shift) > still) & (at >= 0)
+        moved.append((at[moves], shift[moves]))
+    normals, targets = MovedNormals(mesh), []
+    for moving, shift in moved:
         turned, turn = normals.turn(moving, shift)
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(
             {
                 "POSITION": builder.sparse(len(used), moving, metres * shift),
-                "NORMAL": builder.sparse(len(used), turned[is_seen], turn[is_seen]),
+                "NORMAL": builder.sparse(
+                    len(used), turned[is_seen], turn[is_seen], is_bounded=False
+                ),
             }
         )
     primitive: dict[str, Any] = {
@@ -285,15 +300,6 @@ def _add_mesh(
         {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]
     return used
-
-
-def _moving(delta: Float32, still: float) -> Int64:
-    """Vertices that move by more than the root of `still`; most of a shape are at rest."""
-    some = np.flatnonzero(delta.reshape(-1) != 0) // 3
-    some = some[np.diff(some, prepend=-1) > 0]
-    moves = np.take(delta, some, axis=0)
-    found: Int64 = some[np.einsum("vc,vc->v", moves, moves) > still]
-    return found
 
 
 def add_animation(

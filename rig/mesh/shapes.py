@@ -1,6 +1,6 @@
 """A neutral mesh with named shapes: the geometry of a blendshape rig."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32, Float64
+from rig.arrays import Float32, Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import read_npz
 from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
 from rig.mesh.trimesh import TriMesh
+
+Moved = tuple[Int64, Float32]
+"""Vertices (n,), ascending, and their displacements (n, 3); the others stay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,11 @@ class ShapeSet:
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "deltas", deltas)
 
+    @property
+    def moved(self) -> Iterator[Moved]:
+        """What each shape moves."""
+        return map(moved_of, self.deltas)
+
     def delta(self, name: str) -> Float64:
         """Displacement of one shape [shape=(V, 3)] as float64."""
         return np.asarray(self.deltas[self.names.index(name)], dtype=np.float64)
@@ -74,6 +82,39 @@ class ShapeSet:
         """Vertices at `weights` [shape=(T, K)] -> [shape=(T, V, 3)]: neutral + sum of deltas."""
         flat = np.asarray(weights, np.float64) @ self.deltas.reshape(len(self.names), -1)
         return np.asarray(self.neutral.vertices + flat.reshape(len(weights), -1, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class SparseShapes:
+    """The same without vertices that stay: most of a face does in most shapes.
+
+    Parameters
+    ----------
+    neutral : TriMesh
+    names : tuple of str
+        K different names.
+    moved : sequence of tuple
+        What each shape moves.
+    """
+
+    neutral: TriMesh
+    names: tuple[str, ...]
+    moved: Sequence[Moved]
+
+    def dense(self) -> ShapeSet:
+        """Return the shapes with a displacement of every vertex."""
+        deltas = np.zeros((len(self.names), *self.neutral.vertices.shape), np.float32)
+        for delta, (vertices, displacement) in zip(deltas, self.moved, strict=True):
+            delta[vertices] = displacement
+        deltas.setflags(write=False)  # not copied again
+        return ShapeSet(self.neutral, self.names, deltas)
+
+
+def moved_of(delta: Float32) -> Moved:
+    """Return what displacements (V, 3) move."""
+    vertices = np.flatnonzero(delta.reshape(-1) != 0) // 3
+    vertices = vertices[np.diff(vertices, prepend=-1) > 0]
+    return vertices, np.take(delta, vertices, axis=0)
 
 
 def check_shape_count(n_shapes: int, n_vertices: int) -> None:

@@ -5,12 +5,13 @@ is +x (the convention of glTF); the unit is the file's own.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import AnyFloat, Bool, Float64, Int64
+from rig.arrays import AnyFloat, Float32, Float64, Int64
 from rig.errors import MeshError, TopologyError, listed
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
 
@@ -49,13 +50,14 @@ class TriMesh:
         _check_shapes(vertices, faces)
         faces = faces.astype(np.int64)
         count = len(vertices)
-        outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
-        if len(outside):
+        if faces.min() < 0 or faces.max() >= count:
+            outside = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
             raise TopologyError(
                 f"triangles {listed(outside, 8)} name vertices outside 0..{count - 1}; "
                 "the file is cut short or its indices are wrong"
             )
-        doubled = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+        a, b, c = faces.T
+        doubled = (a == b) | (b == c) | (c == a)
         if doubled.any():
             raise TopologyError(
                 f"triangles {listed(np.flatnonzero(doubled), 8)} name a vertex twice; remove them"
@@ -65,7 +67,7 @@ class TriMesh:
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Diagonal of the bounding box, the reference length of tolerances."""
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
@@ -87,8 +89,12 @@ class TriMesh:
         used : array [shape=(V',)]
             Old index of each vertex that stayed, ascending.
         """
-        used, faces = np.unique(self.faces, return_inverse=True)
-        return TriMesh(self.vertices[used], faces.reshape(-1, 3)), used
+        used = np.flatnonzero(np.bincount(self.faces.ravel(), minlength=len(self.vertices)))
+        if len(used) == len(self.vertices):
+            return self, used
+        place = np.zeros(len(self.vertices), np.int64)
+        place[used] = np.arange(len(used))
+        return TriMesh(self.vertices[used], place[self.faces]), used
 
 
 def _check_shapes(vertices: Float64, faces: NDArray[Any]) -> None:
@@ -173,65 +179,63 @@ class MovedNormals:
     ----------
     mesh : TriMesh
         At rest.
-    moves : array of bool [shape=(V,)], optional
-        Vertices that any pose may move; without it all.
     """
 
-    def __init__(self, mesh: TriMesh, moves: Bool | None = None) -> None:
-        products = cross_products(mesh)
-        sums = _corner_sums(mesh.faces, products, len(mesh.vertices))
+    def __init__(self, mesh: TriMesh) -> None:
+        products, count = cross_products(mesh), len(mesh.vertices)
+        sums = _corner_sums(mesh.faces, products, count)
         self.rest = _unit(sums)
-        kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
-        faces = mesh.faces[kept]
         # Coordinates and corners each in a row of their own, which is faster.
         self._vertices, self._sums, self._normals, self._products = (
-            np.ascontiguousarray(array.T)
-            for array in (mesh.vertices, sums, self.rest, products[kept])
+            np.ascontiguousarray(array.T, np.float32)
+            for array in (mesh.vertices, sums, self.rest, products)
         )
-        self._faces = np.ascontiguousarray(faces.T)
-        # The faces of each vertex, one after another.
-        self._count = np.bincount(faces.ravel(), minlength=len(mesh.vertices))
-        self._first = np.cumsum(self._count) - self._count
-        self._at = np.argsort(faces.ravel(), kind="stable") // 3
-        self._place = np.zeros(len(mesh.vertices), np.int64)
+        self._faces = np.ascontiguousarray(mesh.faces.T)
+        # Faces of each vertex (most, V), filled up with a face that is none.
+        corners = mesh.faces.ravel()
+        order, faces = np.argsort(corners, kind="stable"), np.bincount(corners, minlength=count)
+        at = np.arange(len(order)) - np.repeat(np.cumsum(faces) - faces, faces)
+        self._faces_of = np.full((faces.max(), count), len(mesh.faces))
+        self._faces_of[at, corners[order]] = order // 3
+        self._place = np.zeros(count, np.int64)
 
-    def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
+    def turn(self, moving: Int64, delta: Float32) -> tuple[Int64, Float32]:
         """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there.
 
-        Vertices of no face do not move.
+        Vertices of no face do not move. Changes are exact to 1e-4.
         """
-        is_used = self._count[moving] > 0
-        moving, delta = moving[is_used], delta[is_used]
-        count = self._count[moving]
-        start = np.repeat(self._first[moving] - np.cumsum(count) + count, count)
-        is_touched = np.zeros(self._faces.shape[1], bool)
-        is_touched[self._at[start + np.arange(len(start))]] = True
-        touched = np.flatnonzero(is_touched)
+        is_touched = np.zeros(self._faces.shape[1] + 1, bool)
+        for faces in self._faces_of:
+            is_touched[faces[moving]] = True
+        touched = np.flatnonzero(is_touched[:-1])
         corners: Int64 = np.take(self._faces, touched, axis=1)
         is_turned = np.zeros(len(self._place), bool)
         is_turned[corners] = True
         turned = np.flatnonzero(is_turned)
         self._place[turned] = np.arange(len(turned))
-        faces: Int64 = np.take(self._place, corners)
-        posed: Float64 = np.take(self._vertices, turned, axis=1)
-        place = self._place[moving]
-        for axis, by in zip(posed, delta.T, strict=True):
-            axis[place] += by
-        a, b, c = (np.take(posed, corner, axis=1) for corner in faces)
-        (x, y, z), (u, v, w) = b - a, c - a
-        products = y * w - z * v, z * u - x * w, x * v - y * u
-        sums: Float64 = np.take(self._sums, turned, axis=1)
-        for total, product, before in zip(sums, products, self._products, strict=True):
-            product -= np.take(before, touched)
-            for corner in faces:
-                total += np.bincount(corner, product, len(turned))
-        length = np.sqrt((sums * sums).sum(axis=0))
-        unit: Float64 = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
-        unit -= np.take(self._normals, turned, axis=1)
-        return turned, unit.T
+        corners = np.take(self._place, corners)
+        is_used = is_turned[moving]
+        place, delta = self._place[moving[is_used]], delta[is_used]
+        first, second, third = corners
+        sides = []
+        for axis, by in zip(self._vertices, delta.T, strict=True):
+            posed = axis[turned]
+            posed[place] += by
+            start = posed[first]
+            sides.append((posed[second] - start, posed[third] - start))
+        (x, u), (y, v), (z, w) = sides
+        change = np.empty((len(turned), 3), np.float32)
+        for axis, product in enumerate((y * w - z * v, z * u - x * w, x * v - y * u)):
+            product -= self._products[axis][touched]
+            sums = np.bincount(corners.ravel(), np.tile(product, 3), len(turned))
+            change[:, axis] = sums + self._sums[axis][turned]
+        change[:] = _unit(change)
+        for axis, normals in enumerate(self._normals):
+            change[:, axis] -= normals[turned]
+        return turned, change
 
 
-def _unit(vectors: Float64) -> Float64:
+def _unit(vectors: AnyFloat) -> Float64:
     lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))[..., None]
     unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
     return unit

@@ -5,9 +5,9 @@ turns, lips that seal over it) become correctives: the vertices of the rig in a 
 the shapes before it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from rig.arrays import Float32, Float64
 from rig.controls import ControlSet
 from rig.curves import RigCurves
-from rig.mesh.shapes import ShapeSet
+from rig.mesh.shapes import Moved, ShapeSet, SparseShapes, moved_of
 from rig.mesh.trimesh import TriMesh
 
-Evaluate = Callable[[Float32], Any]
-"""Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
+AnyShapes = TypeVar("AnyShapes", ShapeSet, SparseShapes)
+Evaluate = Callable[[Float64], Iterable[Moved]]
+"""Control values [shape=(T, C)] to what each pose moves from rest."""
 
 BATCH = 16
 """Poses at once: little memory that is used again."""
@@ -88,19 +89,19 @@ class Driver:
 
 
 @dataclass(frozen=True, eq=False)
-class BakedRig:
+class BakedRig(Generic[AnyShapes]):
     """Morph targets with their drivers.
 
     Parameters
     ----------
-    shapes : ShapeSet
+    shapes : ShapeSet or SparseShapes
     drivers : tuple of Driver
         One for each shape.
     controls : ControlSet
         Control set of the drivers' names.
     """
 
-    shapes: ShapeSet
+    shapes: AnyShapes
     drivers: tuple[Driver, ...]
     controls: ControlSet
 
@@ -116,11 +117,16 @@ class BakedRig:
             weights[:, k] = driver.weight(values, self.controls)
         return weights
 
-    def on(self, neutral: TriMesh, deltas: Any) -> "BakedRig":
-        """The same drivers over other shapes: `deltas` [shape=(K, V, 3)] of another mesh."""
-        return replace(self, shapes=ShapeSet(neutral, self.shapes.names, deltas))
+    def dense(self: "BakedRig[SparseShapes]") -> "BakedRig[ShapeSet]":
+        """The same rig with a displacement of every vertex in each shape."""
+        return BakedRig(self.shapes.dense(), self.drivers, self.controls)
 
-    def moving(self) -> "BakedRig":
+    def on(self, neutral: TriMesh, deltas: Any) -> "BakedRig[ShapeSet]":
+        """The same drivers over other shapes: `deltas` [shape=(K, V, 3)] of another mesh."""
+        shapes = ShapeSet(neutral, self.shapes.names, deltas)
+        return BakedRig(shapes, self.drivers, self.controls)
+
+    def moving(self: "BakedRig[ShapeSet]") -> "BakedRig[ShapeSet]":
         """The rig without shapes that hardly move."""
         least = STILL * self.shapes.neutral.size
         moves = np.linalg.norm(self.shapes.deltas, axis=-1).max(axis=1, initial=0.0) > least
@@ -139,7 +145,7 @@ def bake(
     controls: ControlSet,
     *,
     correctives: Sequence[tuple[str, Driver]] = (),
-) -> BakedRig:
+) -> BakedRig[SparseShapes]:
     """Evaluate a rig at the end of every half, then at its correctives.
 
     Parameters
@@ -147,7 +153,7 @@ def bake(
     neutral : TriMesh
         The rig's mesh at rest.
     evaluate : callable
-        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)].
+        Control values [shape=(T, C)] to what each pose moves.
     controls : ControlSet
         Columns of those values.
     correctives : sequence of (str, Driver)
@@ -158,28 +164,35 @@ def bake(
     BakedRig
         Shapes that move nothing are left out.
     """
-    wanted = [*control_halves(controls), *correctives]
-    names, drivers = [name for name, _ in wanted], [driver for _, driver in wanted]
-    poses = np.stack([driver.pose(controls) for driver in drivers])
-    rest = np.asarray(evaluate(controls.rest[None]), dtype=np.float32)[0]
-    deltas = np.empty((len(poses), *rest.shape), np.float32)
-    kept: list[int] = []
-    least, first = STILL * neutral.size, len(drivers) - len(correctives)
-    amounts = [driver.weight(poses[first:], controls) for driver in drivers]
-    for k in range(len(drivers)):
-        if k % BATCH == 0:
-            posed = np.asarray(evaluate(poses[k : k + BATCH]), dtype=np.float32)
-        delta = np.subtract(posed[k % BATCH], rest, deltas[len(kept)])
-        for place, j in enumerate(kept if k >= first else ()):
-            if weight := float(amounts[j][k - first]):
-                delta -= weight * deltas[place]
-        farthest = max(delta.max(), -delta.min())  # along an axis, without a new array
-        if farthest > least or np.linalg.norm(delta, axis=1).max() > least:
-            kept.append(k)
-    deltas = deltas[: len(kept)]
-    deltas.setflags(write=False)  # not copied again
-    shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas)
-    return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)
+    halves = control_halves(controls)
+    wanted = [*halves, *correctives]
+    poses = np.stack([driver.pose(controls) for _, driver in wanted]).astype(np.float64)
+    amounts = [driver.weight(poses, controls) for _, driver in wanted]
+    kept: dict[int, Moved] = {}
+    for k, moved in enumerate(evaluate(poses)):
+        if k >= len(halves):
+            delta = np.zeros(neutral.vertices.shape, np.float32)
+            delta[moved[0]] = moved[1]
+            for vertices, displacement, weight in ((*kept[j], amounts[j][k]) for j in kept):
+                if weight:
+                    delta[vertices] -= np.float32(weight) * displacement
+            moved = moved_of(delta)
+        if np.linalg.norm(moved[1], axis=1).max(initial=0.0) > STILL * neutral.size:
+            kept[k] = moved
+    shapes = SparseShapes(neutral, tuple(wanted[k][0] for k in kept), tuple(kept.values()))
+    return BakedRig(shapes, tuple(wanted[k][1] for k in kept), controls)
+
+
+def moves_of(pose: Callable[[Float64], Any], rest: Any) -> Evaluate:
+    """Return an `Evaluate` of a rig's vertices [shape=(T, V, 3)] in poses and at rest."""
+    still = np.asarray(rest, np.float32)
+
+    def evaluate(values: Float64) -> Iterator[Moved]:
+        for start in range(0, len(values), BATCH):
+            for posed in np.asarray(pose(values[start : start + BATCH]), np.float32):
+                yield moved_of(posed - still)
+
+    return evaluate
 
 
 def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:

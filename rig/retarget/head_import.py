@@ -30,7 +30,7 @@ from rig.mesh.deformation import similarity
 from rig.mesh.glb_reader import GlbParts, consistent, read_parts, walk
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh, triangle_areas
-from rig.retarget.bake import bake, face_correctives
+from rig.retarget.bake import bake, face_correctives, moves_of
 from rig.retarget.blendshapes import match_shapes
 from rig.retarget.bones import bone_named, bones_of
 from rig.retarget.head_glb import SHAPES, arkit_pose
@@ -264,21 +264,25 @@ def _motion(shapes: ShapeSet) -> Arrays:
     poses, controls = match_shapes(shapes.names, shapes=shapes), default_controls()
     flat = shapes.deltas.reshape(len(shapes.names), -1)
 
-    def evaluate(values: Float32) -> Float32:
-        weights = poses.weights(RigCurves(values, controls.names), linear=True).weights
+    def pose(values: Float64) -> Float32:
+        weights = poses.weights(
+            RigCurves(values.astype(np.float32), controls.names), linear=True
+        ).weights
         rest = shapes.neutral.vertices.astype(np.float32)
         return rest + (weights @ flat).reshape(len(values), -1, 3)
 
     wanted = [pair for pair in face_correctives() if pair[0] in CORRECTIVES]
+    evaluate = moves_of(pose, shapes.neutral.vertices)
     baked = bake(shapes.neutral, evaluate, controls, correctives=wanted).shapes
-    step = max(float(np.abs(baked.deltas).max(initial=0)) / 32700, STILL_CM / 4)
+    largest = max((np.abs(delta).max() for _, delta in baked.moved), default=0.0)
+    step = max(float(largest) / 32700, STILL_CM / 4)
     counts, columns, values = [], [np.zeros(0, np.int64)], [np.zeros((0, 3), np.int16)]
-    for delta in baked.deltas:
-        moving = np.flatnonzero(np.abs(delta).max(1) > STILL_CM)
-        moving = moving if len(moving) else np.zeros(1, np.int64)
-        counts.append(len(moving))
-        columns.append(np.diff(moving, prepend=0))
-        values.append(np.round(delta[moving] / step).astype(np.int16))
+    for moving, delta in baked.moved:
+        kept = np.abs(delta).max(1) > STILL_CM
+        kept[0] |= not kept.any()
+        counts.append(np.count_nonzero(kept))
+        columns.append(np.diff(moving[kept], prepend=0))
+        values.append(np.round(delta[kept] / step).astype(np.int16))
     if sum(counts) > HEAD_MOVES:
         raise MeshError(
             f"has {sum(counts)} displacements in all shapes; at most {HEAD_MOVES} are shown: "

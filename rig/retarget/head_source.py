@@ -5,11 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 from rig.controls import default_controls
 from rig.face import build_head
+from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import BakedRig, bake, face_correctives
+from rig.retarget.bake import BakedRig, bake, face_correctives, moves_of
 
 PARTS = ("cage", "eye_L", "eye_R", "teeth_upper", "teeth_lower", "tongue")
 """Parts that are carried to another head, without brows, lashes, ears and hair."""
@@ -31,7 +32,7 @@ class SourceHead:
 
     mesh: TriMesh
     landmarks: dict[str, int]
-    rig: BakedRig
+    rig: BakedRig[ShapeSet]
 
 
 @lru_cache(maxsize=2)
@@ -46,8 +47,9 @@ def source_head(identity: int = 0) -> SourceHead:
     mesh = TriMesh(head.mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
     controls = default_controls()
 
-    def evaluate(values: Float32) -> Float32:
+    def pose(values: Float64) -> Float32:
         return head.pose(values)[:, kept]
 
-    rig = bake(mesh, evaluate, controls, correctives=face_correctives())
+    evaluate = moves_of(pose, mesh.vertices)
+    rig = bake(mesh, evaluate, controls, correctives=face_correctives()).dense()
     return SourceHead(rig.shapes.neutral, head.landmarks, rig)

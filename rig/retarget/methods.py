@@ -72,7 +72,7 @@ class Carried:
 
 def shapes_for(
     mesh: TriMesh, landmarks: Mapping[str, int], *, method: Method = "displacements"
-) -> tuple[BakedRig, Carried]:
+) -> tuple[BakedRig[ShapeSet], Carried]:
     """Bake the rig of the embedded head onto a neutral mesh of any topology.
 
     Parameters

@@ -1,6 +1,6 @@
 """The embedded head as one mesh with morph targets, of the board or ARKit, and one picture."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +10,10 @@ from rig.controls import default_controls
 from rig.face import Head, build_head
 from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
+from rig.face.moves import moves
 from rig.face.render.picture import png
 from rig.mesh.glb import Surface
+from rig.mesh.shapes import SparseShapes
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
 
@@ -24,7 +26,7 @@ PICTURE = 1024
 
 
 @lru_cache(maxsize=2)
-def morph_head(identity: int | str | Identity = 0) -> BakedRig:
+def morph_head(identity: int | str | Identity = 0) -> BakedRig[SparseShapes]:
     """Return the head baked to morph targets, in cm: one for each half of a control, correctives.
 
     Parameters
@@ -34,7 +36,7 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
     """
     head = build_head(identity)
     neutral = TriMesh(head.mesh.vertices, head.mesh.faces)
-    return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
+    return bake(neutral, partial(moves, head), default_controls(), correctives=face_correctives())
 
 
 @lru_cache(maxsize=1)

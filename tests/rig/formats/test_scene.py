@@ -189,9 +189,10 @@ def test_glb_obeys_the_container_rules(glb_path):
     for view in document["bufferViews"]:
         assert view["byteOffset"] % 4 == 0
         assert view["byteOffset"] + view["byteLength"] <= document["buffers"][0]["byteLength"]
-    for a in document["accessors"]:
-        if a["type"] == "VEC3" and "POSITION" in str(a.get("name", "POSITION")):
-            assert len(a["min"]) == len(a["max"]) == 3
+    (primitive,) = document["meshes"][0]["primitives"]
+    for part in (primitive["attributes"], *primitive["targets"]):
+        a = document["accessors"][part["POSITION"]]
+        assert len(a["min"]) == len(a["max"]) == 3
 
 
 @pytest.fixture(scope="module")

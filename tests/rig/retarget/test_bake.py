@@ -5,7 +5,7 @@ import pytest
 
 from rig.controls import Control, ControlSet
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import Driver, Half, bake, face_correctives
+from rig.retarget.bake import Driver, Half, bake, face_correctives, moves_of
 from tests.rig.retarget.test_blendshapes import BOARD
 
 CONTROLS = ControlSet(
@@ -25,13 +25,15 @@ def toy(values):
     return out
 
 
+AT_REST = NEUTRAL.with_vertices(toy(CONTROLS.rest[None])[0])
+MOVES = moves_of(toy, AT_REST.vertices)
 JAW, LIP = Half("jaw"), Half("lip")
 CORRECTIVES = [("half", Driver(((JAW,),), peak=0.5)), ("both", Driver(((JAW,), (LIP,))))]
 
 
 @pytest.fixture(scope="module")
 def baked():
-    return bake(NEUTRAL, toy, CONTROLS, correctives=CORRECTIVES)
+    return bake(AT_REST, MOVES, CONTROLS, correctives=CORRECTIVES).dense()
 
 
 def test_baked_shapes_are_the_moving_halves(baked):
@@ -58,7 +60,7 @@ def test_baked_rig_equals_the_rig_where_it_was_baked(baked, pose):
 
 
 def test_baked_rig_without_correctives_misses_the_product():
-    plain = bake(NEUTRAL, toy, CONTROLS)
+    plain = bake(AT_REST, MOVES, CONTROLS).dense()
     values = np.array([[1, 1, 0, 0, 1]], dtype=np.float32)
     error = plain.shapes.evaluate(plain.weights_of(values)) - toy(values)
     assert np.abs(error).max() == pytest.approx(0.7, abs=1e-6)
