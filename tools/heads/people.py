@@ -58,7 +58,7 @@ PEOPLE = {
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
         "shirt_colour": (58, 74, 92), "iris": (84, 58, 39), "lip": (0.83, 0.83, 0.81),
         "drawing": 0.4, "mottle": 0.55, "gain": 1.02, "saturation": 0.92, "flush": 0.4, "freckles": 0.3, "creases": 1.0,
-        "lashes": 0.6, "lash_length": 0.75,
+        "lashes": 0.6, "lash_length": 0.5,
         "style": "short", "ends": 0.55, "line": -0.2, "burns": 0.0, "beard": 0.36, "sweep": -1.0, "root": 0.6, "hairs": 16, "thick": (0.7, 1.3), "locks": 3, "gather": 0.35, "tips": 0.3,
         "slant": 0.3, "soft": 1.5, "roots": 0.55, "brow_hairs": (1.3, 0.35), "fade": (0.2, 0.3), "narrow": 0.7, "curl": 0.6, "scalp": 0.95,
         "layers": [
@@ -80,7 +80,7 @@ PEOPLE = {
         "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.4, 0.6), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (62, 41, 29), "lip": (0.94, 0.74, 0.71), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.65, 0.61, 0.56),
         "drawing": 0.55, "mottle": 0.75, "gain": 0.80, "saturation": 1.0, "flush": 0.35, "freckles": 0.1, "flesh": (0.60, 0.40, 0.36), "creases": 0.9,
-        "lashes": 0.65, "lash_length": 0.75,
+        "lashes": 0.65, "lash_length": 0.5,
         "style": "coils", "root_colour": (36, 23, 16), "ends": 0.75, "line": 0.0, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.9, "hairs": 7, "thick": (0.7, 1.1), "locks": 2, "gather": 0.0,
         "hairline": [(0, 9.6), (14, 9.55), (25, 9.25), (34, 8.8), (38, 8.2), (41, 7.2), (46, 6.3), (55, 5.6), (61, 4.8), (65, 3.2), (68, 1.2), (72, 0.9), (78, 0.7),
                      (81, 2.6), (85, 4.6), (97, 4.8), (102, 3.8), (108, 1.0), (116, -1.6), (128, -3.4), (152, -4.3), (180, -4.6)],
