@@ -53,4 +53,4 @@ def strands(look, side):
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
     light = light[..., None] ** [0.85, 1.0, 1.1]  # thin strands let red light through
     colour = np.array(look["hair_colour"]) / 255 * 1.25 * light
-    return np.dstack([np.clip(colour, 0, 1), np.clip(1.2 * alpha, 0, 1)])
+    return np.dstack([np.clip(colour, 0, 1), np.clip(1.75 * alpha, 0, 1)])

@@ -1,8 +1,8 @@
 """Hair grown from the scalp: narrow cards that follow a combed flow and fall where it ends.
 
 The hairline is a line round the average head (`LINE`). Cards are rooted over it, thinner and
-shorter ones before it; they rise to a layer over the scalp, outer layers first, so that what they
-hide is left out early. Long hair falls from a parting over temples and ears, evenly rooted.
+shorter ones before it; they rise to a layer over the scalp. Triangles lie in the order in which they
+are blended, the innermost layer first. Long hair falls from a parting over temples and ears, evenly rooted.
 """
 
 import numpy as np
@@ -189,7 +189,7 @@ class Hair:
         _, y, z = points.T / self.scale
         cheeks = 0.8 * smooth((z + 0.5) / 2.5) * smooth((4.5 - y) / 2.5)  # which rise in a smile
         side = self.look["volume"] * layer.mean() * smooth((far - 3) / 8) * smooth((3.5 - z) / 4)
-        return smooth(far / 5) * (1.4 * self.ear(points) + side + cheeks)
+        return smooth(far / 5) * (1.8 * self.ear(points) + side + cheeks)
 
     def grown(self, points, heading, length, layer, *, rise, steps, style):
         """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
@@ -307,6 +307,7 @@ def grow(person: Person, hair: Hair) -> Part:
     drawn = [own + k for own, k in zip(drawn, first, strict=True)]
     faces = [own + k for own, k in zip(faces, first_drawn, strict=True)]
     part = Part(*map(np.concatenate, (points, drawn, uv, faces)))
+    part.faces = part.faces[::-1]
     part.tone = np.concatenate(tone)
     return part
 
