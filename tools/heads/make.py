@@ -23,7 +23,7 @@ from tools.heads.base import Base, eye_of, triangles
 from tools.heads.parts import Person
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
-from tools.heads.small import ALPHA, write_small
+from tools.heads.small import write_small
 from tools.heads.strands import Hair, grow, smooth
 
 DATA = Path(__file__).parents[2] / "rig/face/data"
@@ -363,7 +363,9 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         blink=np.float32(_blink(base, shapes, person)),
         creases=np.float32(look["creases"]),
     )  # fmt: skip
-    Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, **ALPHA)
+    Image.fromarray(picture).save(
+        DATA / f"{name}.webp", quality=82, alpha_quality=50, method=6, exact=True
+    )
     write_small(name)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
 

@@ -7,8 +7,6 @@ from rig.face.head_file import DATA, SMALL
 from rig.face.identity import IDENTITIES
 
 QUALITY = 92
-ALPHA = {"alpha_quality": 50, "method": 6, "exact": True}
-"""How all atlases are written: fine hair in the alpha is the larger part of a file."""
 
 
 def halved(picture):
@@ -21,7 +19,7 @@ def write_small(name):
     with Image.open(DATA / f"{name}.webp") as image:
         picture = halved(np.asarray(image.convert("RGBA")))
     target = DATA / f"{name}{SMALL}.webp"
-    Image.fromarray(picture).save(target, quality=QUALITY, **ALPHA)
+    Image.fromarray(picture).save(target, quality=QUALITY, method=6, exact=True)
 
 
 if __name__ == "__main__":
