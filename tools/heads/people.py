@@ -9,7 +9,11 @@ thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks 
 greatest) texels of 64 and ``gather`` to the middles of ``locks`` in a card, which is ``narrow`` at its
 root and by its ``taper`` at its end. ``volume`` is what hair rises at the sides, in lifts; ``least`` is the darkest tone of a card,
 ``roots`` how far the drawn roots lie before the hairline, which is ``soft`` over so many cm and
-whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows.
+whose strokes lie aslant by ``slant``; ``part_share`` is how much of the scalp a parting shows. ``hairline`` is
+a line of the person's own, ``arch`` the least height of the line over ears.
+
+Coils have a radius (``coil``) and ``surfaces``, heights of which the longest is 1, shorter at the ``sides``; over
+``edges``, cm by degrees round the head, they thin out to the hairline. ``root_colour`` is that of drawn roots.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
 noise and ``flesh`` the colour of the corners of the eyes; ``lip`` is a factor on the picture's mean colour
