@@ -383,7 +383,8 @@ class Head:
         faces = self._stored["skin_faces"]
         faces = faces[chosen[faces].all(1)]
         found = np.zeros(len(skin), bool)
-        found[np.argmax(np.where(chosen, skin[:, 2], -np.inf))] = True
+        corners = faces.ravel()
+        found[corners[np.argmax(skin[corners, 2])]] = True
         while True:  # from behind the lips on: a shadow on the neck is none of it
             more = faces[found[faces].any(1)]
             if found[more].all():

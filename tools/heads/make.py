@@ -363,7 +363,9 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         blink=np.float32(_blink(base, shapes, person)),
         creases=np.float32(look["creases"]),
     )  # fmt: skip
-    Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6, exact=True)
+    Image.fromarray(picture).save(
+        DATA / f"{name}.webp", quality=82, alpha_quality=50, method=6, exact=True
+    )
     write_small(name)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
 

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads import lips as lips_of
-from tools.heads import teeth
+from tools.heads import locks, teeth
 from tools.heads.base import eye_of
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
-from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, is_ear, over_line, smooth
+from tools.heads.strands import ROUND_CM, around, is_ear, over_line, smooth
 
 SIDE = 2048
 PLACES = {
@@ -244,43 +244,6 @@ def _joined(base, person, colour):
     return np.clip(out, 0, 1)
 
 
-def hair(look, side=1024):
-    """Colours and alpha (1024, 1024, 4) of columns of strands, roots at the top: locks, then wisps."""
-    rng, width = np.random.default_rng(12), side // VARIANTS
-    x, y = np.arange(width) + 0.5, (np.arange(side)[:, None] + 0.5) / side
-    columns = []
-    for k in range(VARIANTS):
-        alpha, light = np.zeros((side, width)), np.full((side, width), 0.85)
-        is_wisp = k >= VARIANTS - WISPS
-        tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
-        for strand in range(5 if is_wisp else look["hairs"]):
-            turn = rng.uniform(0, 2 * np.pi, 2)
-            edge = 0.1 * width
-            middle = edge + (width - 2 * edge) * rng.beta(1.3, 1.3)  # denser in the middle
-            middle = middle + rng.normal() * 0.05 * width * y
-            lock = (strand % look["locks"] + 0.5) / look["locks"] * width  # to which tips gather
-            middle = middle + look["gather"] * (lock - middle) * y**1.5
-            middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
-            middle = middle + look["curl"] * np.sin(rng.uniform(14, 26) * y + turn[1])
-            start, end = (
-                rng.uniform(-0.06, look.get("starts", 0.03)),
-                rng.uniform(look["ends"], 1.0),
-            )
-            thick = rng.uniform(*look["thick"]) * (0.8 if is_wisp else 1)
-            thin = (1.1 - 0.75 * (y / end) ** 2).clip(0.3)  # towards its tip
-            own = np.exp(-(((x - middle) / (thick * thin)) ** 2))
-            own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
-            shade = rng.uniform(*look.get("shades", (0.64, 1.14))) + 0.05 * np.sin(9 * y + turn[1])
-            light = light + own * (shade - light)
-            alpha = alpha + own * (1 - alpha)
-        inside = np.clip(np.minimum(x, width - x) / 3 - 0.4, 0, 1)
-        columns.append(np.dstack([light, alpha * inside]))
-    light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
-    light = light[..., None] ** [0.85, 1.0, 1.1]  # thin strands let red light through
-    colour = np.array(look["hair_colour"]) / 255 * 1.25 * light
-    return np.dstack([np.clip(colour, 0, 1), np.clip(1.2 * alpha, 0, 1)])
-
-
 def texels(base, person):
     """Points of the average head that the texels of the skin show, and which show any."""
     if not hasattr(base, "texels"):
@@ -302,13 +265,17 @@ def paint_scalp(picture, base, person):
     noise = np.random.default_rng(3).random((64, 4096))
     noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
     noise = (noise - noise.min()) / np.ptp(noise)
+    soft = look["soft"]
+    if "edges" in look:
+        soft = soft * np.interp(around(at), *np.transpose(look["edges"]))
     turn = np.sign(at[:, 0]) * around(at) / 180 * np.pi * ROUND_CM
     turn = turn - look["slant"] * np.sign(at[:, 0] - look.get("parting", 0)) * within
     across = [(within / 0.6 + 9) % 64, (turn / 0.022) % 4096]  # strokes are .02 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
+    if look["style"] == "coils":
+        stroke = 0.55 + 0.18 * _cloud(at, 0.06, 44)
     share = np.zeros(known.shape)
-    soft = look["soft"]
-    share[known] = smooth((within + look.get("roots", 0)) / soft + 1.1 * (stroke - 0.55))
+    share[known] = smooth((within + look.get("roots", 0)) / soft + 0.8 * (stroke - 0.55))
     share *= look["scalp"]
     if look["style"] == "long":  # the parting is lighter
         line = place[..., 0] - look["parting"] - 0.07 * _cloud(place, 0.4, 43)
@@ -316,7 +283,7 @@ def paint_scalp(picture, base, person):
         line[known] *= smooth(within / 2.0)
         share *= 1 - look["part_share"] * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
-    colour = np.array(look["hair_colour"]) * 0.9 * look["root"]
+    colour = np.array(look.get("root_colour", look["hair_colour"])) * 0.9 * look["root"]
     skin = picture[:, :width, :3]
     picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
 
@@ -358,8 +325,8 @@ def _eye(look, side=512):
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
     corner = smooth((share - 1.15) / 1.1)[..., None]
-    white = np.array(look.get("white", (0.70, 0.665, 0.635))) * (1 - corner * [0.26, 0.38, 0.41])
-    white = white * (1 - 0.3 * veins[..., None] * [0.2, 1, 1])
+    white = np.array(look.get("white", (0.75, 0.715, 0.685))) * (1 - corner * [0.26, 0.38, 0.41])
+    white = white * (1 - (0.1 + 0.35 * corner) * veins[..., None] * [0.2, 1, 1])
     spots = gaussian_filter(np.random.default_rng(4).normal(size=(side, side)), 12)
     white = white * (1 + 0.035 * (spots / spots.std())[..., None] * [0.2, 1, 1.3])
     rng = np.random.default_rng(3)
@@ -372,10 +339,10 @@ def _eye(look, side=512):
     inner = iris * [1.35, 1.15, 0.8]  # light from above gathers in the lower half
     depth = 0.95 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
     blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
-    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.22 * fibres)[..., None]
+    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.17 * fibres)[..., None]
     colour = colour * depth[..., None]
     ring = smooth((share - 0.62) / 0.34)[..., None]
-    colour = colour * (1 - 0.84 * ring)
+    colour = colour * (1 - 0.66 * ring)
     pupil = np.clip((share - 0.31) / 0.07, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
     edge = smooth((share - 0.87) / 0.30)[..., None]
@@ -467,7 +434,7 @@ def atlas(base, person):
 
     proxies = base.npm / "proxies"
     put("skin", skin(base, person))
-    put("hair", hair(look))
+    put("hair", locks.hair(look))
     put("eye", _eye(look))
     put("brow", _brow(base, person)[0])
     put("teeth", teeth.picture(look))

@@ -1,14 +1,15 @@
 """Hair grown from the scalp: narrow cards that follow a combed flow and fall where it ends.
 
 The hairline is a line round the average head (`LINE`). Cards are rooted over it, thinner and
-shorter ones before it; they rise to a layer over the scalp, outer layers first, so that what they
-hide is left out early. Long hair falls from a parting over temples and ears, evenly rooted.
+shorter ones before it; they rise to a layer over the scalp. Triangles lie in the order in which they
+are blended, the innermost layer first. Long hair falls from a parting over temples and ears, evenly rooted.
 """
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from tools.heads import coils
 from tools.heads.parts import Part, Person
 
 VARIANTS = 16
@@ -16,8 +17,8 @@ VARIANTS = 16
 WISPS = 4
 LINE = np.array([
     (0, 10.1), (14, 10.0), (27, 9.5), (38, 8.8), (47, 7.5), (54, 5.8), (61, 4.4), (67, 2.6),
-    (72, 0.9), (78, 0.7), (82, 3.2), (88, 5.4), (104, 5.6), (116, 2.8), (126, -1.0), (138, -3.6),
-    (152, -4.8), (180, -5.2),
+    (72, 0.9), (78, 0.7), (81, 2.6), (85, 4.5), (97, 4.7), (102, 3.6), (108, 0.6), (116, -2.0),
+    (128, -3.8), (152, -4.8), (180, -5.2),
 ])  # fmt: skip
 """Height of the hairline, cm, by degrees round the head from the middle of the forehead."""
 AXIS_Z, ROUND_CM = -0.8, 7.6
@@ -27,6 +28,9 @@ FINE = 3
 DOWN = np.array([0.0, -1.0, 0.0])
 FRONT = (-10.2, 6.5)
 """Height, cm, at which hair ends that hangs farther in front: below it no neck turns with the head."""
+
+FACE = (5.0, 6.8, 5.0)
+"""How near to the middle, below which height and in front of what depth no long hair falls, cm."""
 
 
 def unit(x):
@@ -47,14 +51,19 @@ def around(points):
 
 def over_line(points, look):
     """How far points of the average head lie within the hairline, cm; ears do not."""
-    angle, line = around(points), LINE.copy()
+    line = np.array(look.get("hairline", LINE))
     line[:, 1] += look["line"] * smooth((75 - line[:, 0]) / 25)
-    burns = (line[:, 0] > 66) & (line[:, 0] < 86)
-    line[burns, 1] = np.maximum(line[burns, 1], look["burns"])
-    slope = np.gradient(line[:, 1], np.radians(line[:, 0]) * ROUND_CM)
-    high = points[..., 1] - np.interp(angle, *line.T)
-    high = high / np.sqrt(1 + np.interp(angle, line[:, 0], slope) ** 2)
-    return np.where(is_ear(points), -9.0, high)
+    for name, low, high in (("burns", 66, 86), ("arch", 80, 112)):
+        own = (line[:, 0] > low) & (line[:, 0] < high)
+        line[own, 1] = np.maximum(line[own, 1], look.get(name, -9))
+    angle, high = around(points), points[..., 1]
+    side = np.sign(high - np.interp(angle, *line.T))
+    across, line[:, 0] = np.radians(angle) * ROUND_CM, np.radians(line[:, 0]) * ROUND_CM
+    far = np.full(high.shape, np.inf)
+    for (x, y), (dx, dy) in zip(line[:-1], np.diff(line, axis=0), strict=True):
+        share = np.clip(((across - x) * dx + (high - y) * dy) / (dx**2 + dy**2), 0, 1)
+        far = np.minimum(far, np.hypot(across - x - share * dx, high - y - share * dy))
+    return np.where(is_ear(points), -9.0, side * far)
 
 
 def is_ear(points):
@@ -82,6 +91,15 @@ class Hair:
         self.skin, self.normals = person.skin[kept], person.normals[kept]
         self.inside, self.turn = self.high[kept], around(self.average[kept])
         self.tree = cKDTree(self.skin)
+        soft = np.interp(around(self.average), *np.transpose(self.look.get("edges", [(0, 1.0)])))
+        self.full = np.clip(self.high / soft, 0, 1)
+        self.length = self.sides(person.skin, self.look)
+
+    def sides(self, points, shorter):
+        """Share of its length that hair has at points, which may be shorter at the sides."""
+        high = (points[:, 1] + 0.25 * (points[:, 2] - 4 * self.scale)) / self.scale
+        least = shorter.get("sides", 1)
+        return least + (1 - least) * smooth((high - 6.5) / 3.5)
 
     def surface(self, points):
         """Smooth normal of the skin near points, and their height over it."""
@@ -171,7 +189,7 @@ class Hair:
         _, y, z = points.T / self.scale
         cheeks = 0.8 * smooth((z + 0.5) / 2.5) * smooth((4.5 - y) / 2.5)  # which rise in a smile
         side = self.look["volume"] * layer.mean() * smooth((far - 3) / 8) * smooth((3.5 - z) / 4)
-        return smooth(far / 5) * (1.4 * self.ear(points) + side + cheeks)
+        return smooth(far / 5) * (1.8 * self.ear(points) + side + cheeks)
 
     def grown(self, points, heading, length, layer, *, rise, steps, style):
         """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
@@ -234,7 +252,10 @@ class Hair:
         far = np.linspace(0, 1, n)[:, None].repeat(2, 1)
         root = 1 if wisps else self.look["root"]
         tones = tone[:, None, None] * (root + (1 - root) * smooth(far / 0.35))[..., None]
-        return points.reshape(-1, 3), uv.reshape(-1, 2), faces, tones.reshape(-1, 3)
+        if self.look["style"] == "coils":
+            uv = (uv + [coils.CARDS[0], 1 - coils.CARDS[1]]) / 2
+        points = points.reshape(-1, 3)
+        return points, np.arange(len(points)), uv.reshape(-1, 2), faces, tones.reshape(-1, 3)
 
 
 def grow(person: Person, hair: Hair) -> Part:
@@ -249,16 +270,14 @@ def grow(person: Person, hair: Hair) -> Part:
         )  # fmt: skip
         style = layer.get("style")
         length = s * layer["length"] * rng.uniform(0.75, 1.15, count)
-        if "sides" in layer:  # shorter there
-            y = points[:, 1] / s + 0.25 * (points[:, 2] / s - 4)
-            length *= layer["sides"] + (1 - layer["sides"]) * smooth((y - 6.5) / 3.5)
+        length *= hair.sides(points, layer)
         normal, _, _ = hair.surface(points)
         comb = hair.flow(points, normal, style)
         if "back" in layer:
             comb = unit(comb + layer["back"] * tangent(np.array([0, 0.5, -1.0]), normal))
         way = unit(comb + layer.get("stray", 0.1) * rng.normal(size=points.shape)
                    + layer.get("up", 0) * normal)  # fmt: skip
-        uneven = (0.75, 1.08) if hair.is_long else (0.6, 1.2)
+        uneven = (0.88, 1.06) if hair.is_long else (0.6, 1.2)
         high = s * layer["lift"] * rng.uniform(*uneven, count)
         high *= np.clip(0.12 + within / 2.2, 0, 1)
         curves, across = hair.grown(
@@ -269,6 +288,11 @@ def grow(person: Person, hair: Hair) -> Part:
             turn = (points @ [[0.5, 0.9, 0.2], [0.7, 0.3, 0.6], [0.2, 0.8, 0.5]])[:, None]
             turn = turn + rng.normal(size=turn.shape) * 0.25
             curves = curves + layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / 2.4 + turn)
+        if hair.is_long and style != "fringe":  # none falls over the face
+            x, y, z = np.moveaxis(curves / s, -1, 0)
+            off = ~((abs(x) < FACE[0]) & (y < FACE[1]) & (z > FACE[2])).any(1)
+            curves, across, length, points = (a[off] for a in (curves, across, length, points))
+            count = len(curves)
         low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
         curves, across = _cut(curves, across, low)
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
@@ -276,15 +300,14 @@ def grow(person: Person, hair: Hair) -> Part:
         is_wisp = layer.get("wisps", False)
         roll, inset, taper = layer.get("roll", 0.2), layer.get("inset", 0), layer.get("taper", 0)
         pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset, taper))
-    points, uv, faces, tone, first = [], [], [], [], 0
-    for own, places, triangles, tones in pieces:
-        points.append(own)
-        uv.append(places)
-        faces.append(triangles + first)
-        tone.append(tones)
-        first += len(own)
-    points = np.concatenate(points)
-    part = Part(points, np.arange(len(points)), np.concatenate(uv), np.concatenate(faces))
+    if "surfaces" in look:
+        pieces.append(coils.surfaces(person, hair))
+    points, drawn, uv, faces, tone = zip(*pieces, strict=True)
+    first, first_drawn = (np.cumsum([0, *map(len, own[:-1])]) for own in (points, drawn))
+    drawn = [own + k for own, k in zip(drawn, first, strict=True)]
+    faces = [own + k for own, k in zip(faces, first_drawn, strict=True)]
+    part = Part(*map(np.concatenate, (points, drawn, uv, faces)))
+    part.faces = part.faces[::-1]
     part.tone = np.concatenate(tone)
     return part
 
