@@ -19,7 +19,7 @@ SHADOW_RADIANS, SHADOW = 0.28, 0.76
 CORNER_BEGIN, CORNER = 0.45, 0.6
 """Where the shadow of an eye's corners begins, of the way to them, and its depth there."""
 
-MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.36, 0.9, 1.2, 4.0, 0.5)
+MOUTH_SHADOW, MOUTH_LIGHT = 0.87, (0.3, 0.46, 0.85, 1.2, 4.0, 0.5)
 """Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
 the way; how far it passes below the upper lip where all of it does, and how much higher none does;
 how far behind the lip it begins to fade, and over what way it goes, cm; share of this that counts

@@ -48,15 +48,19 @@ SHARED = (
 OWN = ("brow_L", "brow_R", "hair", "shirt")
 KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
          "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "shirt": CLOTH}  # fmt: skip
-GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.55,
-         "teeth_lower": 0.55, "tongue": 0.45, "shirt": 0.03}  # fmt: skip
+GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.72,
+         "teeth_lower": 0.66, "tongue": 0.45, "shirt": 0.03}  # fmt: skip
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
-TONGUE = (0.95, 0.9, 0.88)
+TONGUE = (0.92, 0.85, 0.83)
 """Colour of the tongue over its picture."""
-CORRIDOR = {"teeth_upper": (1.15, 1.5), "teeth_lower": (1.0, 1.3)}
-"""Distance from the middle where the shadow of the cheeks on teeth begins, and over what way, cm."""
+CORRIDOR = {"teeth_upper": (0.7, 1.9), "teeth_lower": (0.6, 1.8), "tongue": (0.4, 1.2)}
+"""Distance from the middle where the shadow of the cheeks on a part begins, and over what way, cm."""
+DEEP_LIGHT = {"teeth_upper": ((0.85, 0.6), 3.4), "teeth_lower": ((0.66, 0.44), 3.6),
+              "tongue": ((0.9, 0.72), 4.4)}  # fmt: skip
+"""Least light (of the sky, of the first lamp) of the parts of an open mouth at its front, and how
+far behind the lips there is none, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -301,11 +305,11 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     for part, where in slices.items():
         kind[where] = KINDS.get(part, PLAIN)
         gloss[where] = GLOSS.get(part, 0.1)
-    for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
-        front = _front(joined.points[slices[part]], *CORRIDOR[part])
+    for part, corridor in CORRIDOR.items():  # side lamps reach no back teeth
+        front = _front(joined.points[slices[part]], *corridor)
         colour[slices[part]] = front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
         gloss[slices[part]] *= front
-    colour[slices["tongue"]] = TONGUE
+    colour[slices["tongue"]] *= TONGUE * np.array(look.get("mucosa", lips.MUCOSA)) / lips.MUCOSA
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     colour[slices["hair"]] = np.minimum(person.parts["hair"].tone, 1)
     pictures.paint_scalp(picture, base, person)
@@ -378,7 +382,7 @@ def _blink(base, shapes, person):
     return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
 
 
-def _front(points, begin=1.15, over=1.5):
+def _front(points, begin, over):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
     return 1 - 0.75 * pictures._smooth((np.abs(points[:, 0]) - begin) / over)
 
@@ -444,10 +448,9 @@ def _light(base, shapes, person, joined, picture):
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.10) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
-    for part, least, end in (("teeth_upper", [0.85, 0.6], 3.1), ("teeth_lower", [0.66, 0.44], 2.7),
-                             ("tongue", [0.9, 0.72], 4.2)):  # fmt: skip
+    for part, (least, end) in DEEP_LIGHT.items():
         own = joined.slices[part]
-        share = _depth_light(x[own, 2] - front, end) * _front(x[own])
+        share = _depth_light(x[own, 2] - front, end) * _front(x[own], *CORRIDOR[part])
         light[own] = np.maximum(light[own], least) * share[:, None]
     groove = joined.slices["tongue"]
     light[groove] *= 1 - 0.35 * np.exp(-((x[groove, :1] / 0.25) ** 2))

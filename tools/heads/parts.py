@@ -21,7 +21,7 @@ BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
 _BEHIND = {"upper": 0.35, "lower": 0.62}
 """How far the front of each row stands behind the middle of the line where the lips meet, cm."""
-_EDGE = {"upper": -0.27, "lower": 0.20}
+_EDGE = {"upper": -0.28, "lower": 0.25}
 """Height of the incisors' edges over that line, cm, the teeth together."""
 
 

@@ -359,7 +359,7 @@ class Shapes:
             "CTRL_C_tongue_roll.ty": np.stack(
                 [-0.2 * across * front, 0.42 * (across / 1.6) ** 2 * front, zero], 1
             ) * hold[:, None],
-            "CTRL_C_jaw.ty": np.stack([zero, -0.1 * front + 0.12 * body, zero], 1) * hold[:, None],
+            "CTRL_C_jaw.ty": np.stack([zero, 0.4 * front + 0.25 * body, 0.1 * front], 1) * hold[:, None],
         }  # fmt: skip
 
     def _more(self, deltas, place):

@@ -29,7 +29,8 @@ class Row:
     the edge's corners stand back, `point` how far a point stands over its sides, `cusps` how many
     there are on the cheek's side. `root` is 1 where roots point up, else -1; `papilla` how far the
     gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how far
-    the gum recedes, `crowded` the deviation of single teeth from the arch.
+    the gum recedes, `stand` how far a tooth stands out of the arch and `turn` how far its far
+    contact lies behind its near one; `crowded` is the deviation of single teeth from all this.
     """
 
     root: int
@@ -43,28 +44,32 @@ class Row:
     papilla: float
     arch: tuple[tuple[float, float], ...]
     lean: float
+    stand: tuple[float, ...]
+    turn: tuple[float, ...]
     crowded: float
 
 
 ROWS = {
     "upper": Row(
         root=1, papilla=0.38, lean=0.16, crowded=0.012,
-        width=(0.86, 0.67, 0.77, 0.70, 0.68, 0.98, 0.95),
+        stand=(-0.01, -0.06, 0.01, 0, 0, 0, 0), turn=(0.01, 0.02, 0.10, 0.03, 0, 0, 0),
+        width=(0.87, 0.66, 0.77, 0.70, 0.68, 0.98, 0.95),
         height=(1.02, 0.90, 1.02, 0.86, 0.80, 0.76, 0.70),
-        edge=(0.0, 0.075, 0.02, 0.11, 0.17, 0.24, 0.34),
+        edge=(0.0, 0.095, 0.02, 0.12, 0.17, 0.24, 0.34),
         thick=(0.13, 0.13, 0.2, 0.56, 0.6, 0.8, 0.8),
-        round=(0.07, 0.09, 0.05, 0.05, 0.05, 0.04, 0.04),
-        point=(0, 0, 0.13, 0.08, 0.06, 0.05, 0.05), cusps=(1, 1, 1, 1, 1, 2, 2),
+        round=(0.10, 0.15, 0.11, 0.08, 0.07, 0.05, 0.05),
+        point=(0, 0, 0.15, 0.10, 0.06, 0.05, 0.05), cusps=(1, 1, 1, 1, 1, 2, 2),
         arch=((0, 0), (0.45, -0.015), (0.85, -0.07), (1.3, -0.22), (1.72, -0.56), (2.08, -1.1),
               (2.32, -1.75), (2.5, -2.6), (2.6, -3.6), (2.6, -5.2)),
     ),
     "lower": Row(
-        root=-1, papilla=0.34, lean=0.12, crowded=0.03,
+        root=-1, papilla=0.34, lean=0.12, crowded=0.035,
+        stand=(-0.02, 0.02, 0.03, 0, 0, 0, 0), turn=(0, 0.02, 0.07, 0.02, 0, 0, 0),
         width=(0.53, 0.58, 0.68, 0.70, 0.71, 1.08, 1.05),
         height=(0.86, 0.88, 1.0, 0.84, 0.8, 0.74, 0.7),
         edge=(0.0, 0.01, -0.02, 0.05, 0.08, 0.1, 0.1),
         thick=(0.11, 0.11, 0.18, 0.5, 0.55, 0.8, 0.8),
-        round=(0.04, 0.05, 0.05, 0.05, 0.05, 0.04, 0.04),
+        round=(0.05, 0.07, 0.09, 0.07, 0.06, 0.05, 0.05),
         point=(0, 0, 0.08, 0.06, 0.05, 0.05, 0.05), cusps=(1, 1, 1, 1, 1, 2, 2),
         arch=((0, 0), (0.3, -0.005), (0.65, -0.04), (1.1, -0.15), (1.55, -0.47), (1.93, -1.02),
               (2.18, -1.7), (2.38, -2.6), (2.5, -3.6), (2.54, -5.2)),
@@ -80,7 +85,7 @@ _LINES = {
 _CROWN = {"neck": (0.02, 0.0), "bulge": (0.2, 0.055), "middle": (0.45, 0.065), "cut": (0.7, 0.045),
           "low": (0.88, 0.01), "tip": (0.97, -0.03), "edge": (1.0, -0.07)}  # fmt: skip
 """Lines of the crown's front: way from gum to edge, and how far they stand out, cm."""
-ENAMEL = {"upper": (1.0, 0.985, 0.97), "lower": (0.90, 0.86, 0.82)}
+ENAMEL = {"upper": (0.98, 0.965, 0.94), "lower": (0.84, 0.79, 0.74)}
 """Factor on the person's colour of teeth: the lower row is in the shadow of the upper one."""
 _SHOWN = (1.5, 1.4, 1.3, 1.0, 0.8, 0.55, 0.45)
 """Share of the picture that each tooth takes, for its width."""
@@ -157,9 +162,10 @@ def grid(name, seed):
     point = 0.5 - 0.5 * np.cos(np.pi * np.where(cusps > 1, 1.0 - 2 * np.abs(far - 0.5), far))
     edge = back + columns.of(row.round) * (far**4 + 0.5 * far**14) * np.where(away > 0, 1, 0.55)
     edge = edge + columns.of(row.point) * point * np.where(cusps > 1, 0.7, 1) + 0.5 * longer * loose
-    out = -columns.of((0.05, 0.07, 0.12, 0.13, 0.12, 0.09, 0.08)) * far**2
+    out = -columns.of((0.08, 0.09, 0.14, 0.14, 0.12, 0.09, 0.08)) * far**2.4
+    out = out + columns.of(row.stand) - np.array(row.turn)[columns.place] * away * loose
     out = out + (0.6 * turned * q + 0.5 * pushed) * loose
-    groove = 0.035 * far**6 + 0.05 * far**16
+    groove = 0.04 * far**6 + 0.06 * far**16
     place, outward = _arch(row, columns.along(row.width))
     lines = {}
 
@@ -244,13 +250,15 @@ def _enamel(name, look, v, rng):
     yellow = np.array([0.0, 0.01, 0.06, 0.035, 0.03, 0.03, 0.03])[place]
     yellow = yellow + np.abs(rng.normal(0, 0.008, 14))[tooth]
     colour = enamel * (1 - yellow[:, None] * [0.35, 0.9, 1.7])
-    colour = colour * (1 - (1 - way[..., None]) ** 1.8 * [0.07, 0.13, 0.22])
-    clear = np.clip((way - 0.80) / 0.2, 0, 1)[..., None] * (place < 3)[:, None]
-    colour = colour * (1 - clear * [0.13, 0.10, 0.06])
+    colour = colour * (1 - (1 - way[..., None]) ** 1.6 * [0.12, 0.19, 0.29])
+    lobes = gaussian_filter(rng.normal(size=PICTURE), 2.5, mode="wrap")
+    begin = 0.72 + 0.05 * lobes / lobes.std() - 0.12 * far**4
+    clear = np.clip((way - begin) / (1 - begin), 0, 1)[..., None] ** 1.3 * (place < 3)[:, None]
+    colour = colour * (1 - clear * [0.22, 0.20, 0.15])
     lobes = gaussian_filter(rng.normal(size=(len(v), PICTURE)), (20, 3), mode="nearest")
     colour = colour * (1 + 0.012 * lobes / lobes.std())[..., None]
-    contact = np.exp(-(((1 - far) / 0.055) ** 2)) + 0.3 * np.exp(-(((1 - far) / 0.22) ** 2))
-    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.13, 0.20, 0.24])
+    contact = 0.6 * np.exp(-(((1 - far) / 0.06) ** 2)) + 0.55 * far**3.5
+    colour = colour * (1 - np.clip(contact, 0, 1)[:, None] * [0.22, 0.27, 0.31])
     by_gum = np.exp(-((np.maximum(v - _LINES["margin"], 0) / 0.02) ** 2))[..., None]
     colour = colour * (1 - by_gum * [0.20, 0.34, 0.36])
     fissure = np.exp(-(((v - _LINES["fissure"]) / 0.018) ** 2)) * (place > 2)
