@@ -244,7 +244,7 @@ class CurvePass(nn.Module):
         curves = torch.where(ruled[:, None, None, None] > 0, curves, plain)
         # Blinks, gaze, brows and neck.
         if self.play is not None:
-            curves = self.play(curves, motion)
+            curves = self.play(curves, motion, mouth)
 
         # Ranges and gain.
         acted = curves[:, :, SHOWN]

@@ -26,8 +26,8 @@ from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
-SPREAD = 4.0
-"""Standard deviation of the logarithms of the drawn weights: the largest of three is .86 on the
+SPREAD = 4.6
+"""Standard deviation of the logarithms of the drawn weights: the largest of three is .88 on the
 average."""
 HOME, WEAK_HOME, STEEPNESS = 2.0, 1.0, 1.5
 """Most that is added to a variant of strong voices, and to one of weak voices, and how suddenly
@@ -47,7 +47,7 @@ HABITS = (
     ("brow_raiseIn",), ("brow_raiseOut",), ("brow_down", "brow_lateral"),
     ("eye_squintInner", "eye_eyelidD"), ("eye_cheekRaise", "nasolabialDeepen"), ("_nose.",),
     ("cornerPull", "CornerPull", "dimple"), ("cornerDepress", "ChinRaise"),
-    ("mouth_stretch", "neck_stretch"), ("mouth_tighten", "jaw_clench"),
+    ("mouth_stretch", "neck_stretch"), ("mouth_tighten", "jaw_clench"), ("eye_blink", "eyelidU"),
 )  # fmt: skip
 """Parts of the names of the controls that a character uses more or less together, as one muscle
 moves them; none of them parts or closes the lips."""

@@ -120,7 +120,7 @@ DRIFT, DRIFT_SECONDS = (0.008, 0.008, 0.006, 0.005, 0.012, 0.008, 0.018, 0.006, 
 """Standard deviation of slow noise, control units."""
 HELD_SPREAD, HELD_SECONDS = 0.1, 2.0
 """Standard deviation of the slow factor on `HELD`."""
-LEAD_SECONDS, LEAD_SPREAD = 0.09, 0.02
+LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.02
 ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.2, 0.28), (0.03, 0.1), (0.35, 0.55)
 LEAST_HEIGHT, HEIGHT_SPREAD = 0.35, (0.85, 1.15)
 """Height of the weakest accent, and what the seed changes of any."""

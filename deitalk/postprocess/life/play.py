@@ -43,7 +43,8 @@ YIELDED, SMILE_YIELDED = 0.85, 2.5
 """Share of a neutral face's gestures that an emotion at intensity 1 takes away, and of its smiles:
 what it shows must not depend on the seed."""
 SWELL, USUAL_SWELL = 0.3, 0.2
-"""Part of an expression above the mouth that comes and goes with the accents, and their mean."""
+"""Part of an expression above the mouth that comes and goes with the accents, and their mean in
+speech: in silence, which has none, it is held as in speech on the average."""
 HELD_SIDE = 0.5
 """Share of a character's difference of the sides in an expression that is held: one side is by so
 much stronger, the other by so much weaker."""
@@ -90,15 +91,15 @@ class Play(nn.Module):
         constant(self, "yielded", shares)
         constant(self, "swells", [float(k < UPPER) for k in range(len(STEMS))])
 
-    def forward(self, curves: Tensor, motion: Tensor) -> Tensor:
-        """Play tracks (B, T, 43) on curves (B, T, R, C).
+    def forward(self, curves: Tensor, motion: Tensor, spoken: Tensor) -> Tensor:
+        """Play tracks (B, T, 43) on curves (B, T, R, C), by the gate of the mouth (B, T, 1).
 
         Controls approach the end of their range and do not reach it: a motion of m takes the share
         m of what is left.
         """
         tracks = MotionTracks(*torch.split(motion, [*MOTION], dim=-1))
         curves = self._lean_mouth(curves, tracks)
-        curves = self._move_face(curves, tracks)
+        curves = self._move_face(curves, tracks, USUAL_SWELL * spoken.unsqueeze(2))
         return self._turn_eyes(curves, tracks)
 
     def _lean_mouth(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
@@ -110,8 +111,11 @@ class Play(nn.Module):
         spoken = SPOKEN * tracks.side.unsqueeze(2) * leans * neutral
         return self.mouth.put(curves, part + spoken + event * leans * (part - neutral))
 
-    def _move_face(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
-        """Move brows, lids and cheeks on accents, by the emotion that is shown, and by gestures."""
+    def _move_face(self, curves: Tensor, tracks: MotionTracks, usual: Tensor) -> Tensor:
+        """Move brows, lids and cheeks on accents, by the emotion that is shown, and by gestures.
+
+        `usual` (B, T, 1, 1) is the mean of the accents.
+        """
         # (B, T, R, sides, stems)
         part = torch.stack(self.face(curves).chunk(2, dim=-1), dim=-2)
         calm = part[:, :, :1]
@@ -123,7 +127,7 @@ class Play(nn.Module):
         accents = tracks.accents.unsqueeze(2)  # (B, T, 1, sides)
         # An expression swells on accents, and one side of it is stronger.
         uneven = torch.cat((side, -side), dim=-1) * amount.clamp_max(1) * HELD_SIDE
-        swell = ((1 + amount * SWELL * (accents - USUAL_SWELL)) * (1 + uneven)).unsqueeze(-1)
+        swell = ((1 + amount * SWELL * (accents - usual)) * (1 + uneven)).unsqueeze(-1)
         values = calm + (part - calm) * (1 + (swell - 1) * self.swells)
         values = torch.maximum(values, self.least).clamp_max(1)
         gestures = torch.stack(tracks.gestures.chunk(2, dim=-1), dim=-2).unsqueeze(2)

@@ -84,11 +84,13 @@ class Stages(ControlGroups):
         found = self.rules.meet_phones(rows, added, tracks[..., 2], tracks[..., 3])
         curves[:] = found[0, :, 0].numpy()
 
-    def play(self, curves, neutral, motion):
+    def play(self, curves, neutral, motion, spoken=1.0):
         """Motion tracks on the face that is shown, and on the neutral one."""
-        still = np.ones(len(curves), np.float32)
-        columns = torch.from_numpy(shown_columns(still, still, motion))[None, :, 2:]
-        found = self.rules.play(both(neutral, curves), columns)[0].numpy()
+        gate = np.full(len(curves), spoken, np.float32)
+        columns = torch.from_numpy(shown_columns(gate, gate, motion))[None]
+        found = self.rules.play(both(neutral, curves), columns[..., 2:], columns[..., :1])[
+            0
+        ].numpy()
         neutral[:], curves[:] = found[:, 0], found[:, 1]
 
     def windows(self, rows):

@@ -94,6 +94,25 @@ def test_a_neutral_face_raises_most_accents_and_knits_the_others():
     assert (raises != knits).mean() > 0.9 and 0.5 < raises.mean() < 0.8
 
 
+def test_an_expression_is_held_in_silence_as_in_speech_and_rises_on_accents():
+    """A calm face with a pose of .5: without accents it is .5 in silence, under it in speech."""
+    rest = np.tile(CONTROLS.rest, (90, 1)).astype(np.float32)
+    inner = [CONTROLS.index(f"CTRL_{side}_brow_raiseIn.ty") for side in "LR"]
+    mixture = np.zeros((90, len(LABELS)), np.float32)
+    motion = plan_motion(spoken(90), mixture, Seeds((0, 0, 0)))
+    tracks = motion.tracks._replace(side=0 * motion.tracks.side, gestures=np.zeros((90, 2 * K)))
+
+    def shown(accents, spoken):
+        curves = rest.copy()
+        curves[:, inner] = 0.5
+        tracks_of = tracks._replace(accents=np.full((90, 2), accents))
+        STAGES.play(curves, rest.copy(), tracks_of, spoken)
+        return curves[:, inner].mean()
+
+    assert shown(0.0, 0.0) == pytest.approx(0.5) == shown(0.2, 1.0)
+    assert shown(0.0, 1.0) < 0.5 < shown(1.0, 1.0)
+
+
 def test_a_few_accents_are_of_one_side_more_often_the_stronger():
     """Sides of the others differ by no more than the character's and the event's difference."""
     lone = spoken(120, [Accent(60, 1.0)])
