@@ -1,4 +1,7 @@
-"""The command line: one thin function per verb; heavy imports happen inside them."""
+"""The command line is built here, and errors become one line on stderr.
+
+Each verb is a function in a module of its name; it imports slow packages when it is called.
+"""
 
 import atexit
 import gc
