@@ -210,9 +210,7 @@ class FinetuneTask(CurveTask):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
         self.test_clips, self.conventions = division.test, {}
-        carried(
-            self.config, self.controls
-        )  # refused, like the corpus, before there is a run folder
+        carried(self.config, self.controls)  # bad files are refused before there is a run folder
         self._rehearsed()
         self.learnt = learnt_controls(config.rules, self.controls)
         self.pose = self._mean_pose(data)
