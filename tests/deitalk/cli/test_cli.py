@@ -212,6 +212,11 @@ def test_error_for_a_file_name_with_a_dash_first_gives_a_spelling_that_works(tmp
     assert line.endswith("write ./-dash.wav for the file of that name")
 
 
+def test_a_model_is_not_exported_to_the_name_of_another_file(tmp_path):
+    assert "files end with .onnx" in refused("model", "export", "default", "-o", tmp_path / "d.txt")
+    assert not any(tmp_path.iterdir())
+
+
 def test_stdout_is_no_target(tmp_path, speech):
     assert refused("animate", speech, "-o", "-") == (
         "deitalk: -o -: nothing is written to stdout; name a file or a folder"
