@@ -1,4 +1,4 @@
-"""`Acting`: everything that a recording can be asked for, once.
+"""`Acting` holds all options of how a recording is acted.
 
 Every way into the package takes these fields and no others: the command line, `deitalk.animate`,
 the columns of a batch's manifest, the form and the messages of the service, the page, and the

@@ -144,7 +144,8 @@ class LiveStream:
         if frame is not None:
             first = self.next_frame - len(self._kept)
             if not first <= frame < self.next_frame:
-                raise ConfigError(f"frame {frame} is none of {first} to {self.next_frame - 1}")
+                given = f"{first} to {self.next_frame - 1}" if self._kept else "none yet"
+                raise ConfigError(f"frame {frame} must be one that was given: {given}")
             shown = self._kept[frame - first]
         self._begin()
         if self.end:

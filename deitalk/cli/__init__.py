@@ -1,4 +1,7 @@
-"""The command line: one thin function per verb; heavy imports happen inside them."""
+"""The command line is built here, and errors become one line on stderr.
+
+Each verb is a function in a module of its name; it imports slow packages when it is called.
+"""
 
 import atexit
 import gc
@@ -10,9 +13,9 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
+from deitalk.cli.console import emit, name_option, prepare_streams
 from deitalk.cli.options import CheckedCommands
-from deitalk.cli.targets import hold_targets
+from deitalk.cli.targets import check_working_folder, hold_targets
 from deitalk.installed import __version__
 from deitalk.safe_path import safe_path
 from deitalk.signals import CTRL_C_CODE, catch_signals, leave_on_ctrl_c, received, release_signals
@@ -103,9 +106,10 @@ def main(app: typer.Typer | None = None, name: str = "deitalk") -> None:
     usual = gc.get_threshold()
     gc.set_threshold(100_000)  # imports make many objects and few cycles to search for
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search in all installed packages
-    escape_what_cannot_be_encoded()
+    prepare_streams()
     try:
         catch_signals()
+        check_working_folder()
         with safe_path():
             app = app or commands(*sys.argv[1:2])
             code = app(prog_name=name, standalone_mode=False)

@@ -134,7 +134,7 @@ def animate(
         from rig.face.identity import identity_of
 
         head = identity_of(identity)
-    is_take = is_folder_name(out, writable_suffixes())
+    is_take = is_folder_name(out, (*writable_suffixes(), *PICTURES))
     file_format = None if is_take else find_format(target, writable=True)
     if identity is not None and file_format is not None:
         check_option("identity", repr(identity), file_format)
@@ -214,7 +214,7 @@ def _perform(
             torch.set_num_threads(most)
         return load_network(model, backend=chosen, device=device, threads=most, once=True)
 
-    sound = sys.stdin.buffer.read() if speech == "-" else speech
+    sound = sys.stdin.buffer if speech == "-" else speech
     with console().status("loading the recording and the network"):
         prepared = prepare(sound, given.acting, load, choice=given.choice)
     with bar("animating") as progress:

@@ -109,10 +109,16 @@ def emit_outcome(line: str, summary: Any, notes: Iterable[str] = (), *, as_json:
         console().print(line)
 
 
-def escape_what_cannot_be_encoded() -> None:
-    """Escape characters that the encoding of stdout or stderr cannot represent."""
-    for stream in (sys.stdout, sys.stderr):
-        if reconfigure := getattr(stream, "reconfigure", None):
+def prepare_streams() -> None:
+    """Open the null device for closed standard streams; escape what an encoding cannot represent.
+
+    A service or a program with windows may start Python without standard streams.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
+        reconfigure = getattr(getattr(sys, name), "reconfigure", None)
+        if reconfigure and mode == "w":
             reconfigure(errors="backslashreplace")
 
 

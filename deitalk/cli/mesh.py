@@ -54,7 +54,7 @@ def animate_vertices(
         shapes = read_shapes(mesh)
         if landmarks is not None:
             read_landmarks(landmarks, shapes.neutral)
-    sound = sys.stdin.buffer.read() if speech == "-" else speech
+    sound = sys.stdin.buffer if speech == "-" else speech
     who = int(speaker) if speaker.isdigit() else identity_of(speaker) if own else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech

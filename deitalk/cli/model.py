@@ -42,11 +42,14 @@ def export(
     deitalk model export default --onnx default.onnx
     """
     from deitalk.errors import DeitalkError
+    from rig.files import is_folder_name
 
     if onnx is None and out is not None and out.suffix.lower() == ".onnx":
         out, onnx = None, out
     if (out is None) == (onnx is None):
         raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
+    if out is not None:
+        is_folder_name(out, (".onnx",))  # raises for the name of another file
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import describe_model, model_folder

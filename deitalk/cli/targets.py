@@ -26,6 +26,15 @@ def hold_targets(context: typer.Context) -> None:
     _targets.set(context.with_resource(ExitStack()))
 
 
+def check_working_folder() -> None:
+    """Raise DeitalkError where the working folder was removed: torch ends a process there."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        message = "the working folder was removed; change to one that exists"
+        raise DeitalkError(message) from error
+
+
 def reserve_file(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
     """Check a file to write before the work begins, and lock it against other processes.
 

@@ -214,10 +214,8 @@ def _track(table: Table) -> EmotionTrack:
     # Place of each name in `LABELS`.
     names = keys.texts["emotion"]
     place = {name: i for i, name in enumerate(LABELS)}
-    unknown = next((name for name in names if name not in place), None)
-    if unknown is not None:
-        raise _unknown(unknown)
-    codes = np.array([place[name] for name in names], np.int64)
+    codes = np.array([place.get(name, -1) for name in names], np.int64)
+    keys.refuse(codes < 0, lambda k: _unknown(names[k]))
     first = np.concatenate([[True], np.diff(times) > 0])
     moment = np.cumsum(first) - 1  # keys at one time mix
     again = np.ones(len(codes), bool)
@@ -368,7 +366,7 @@ def _weights(strengths: Mapping[str, float], where: str) -> Float64:
     weights = np.zeros(len(LABELS))
     for name, strength in strengths.items():
         if name not in LABELS:
-            raise _unknown(name)
+            raise EmotionError(_unknown(name))
         value = number(strength, name, where)
         if value < 0:
             raise EmotionError(f"{where}: {name} is {value:g}; strengths must be 0 to 1")
@@ -384,8 +382,8 @@ def _weights(strengths: Mapping[str, float], where: str) -> Float64:
     return weights
 
 
-def _unknown(name: str) -> EmotionError:
-    return EmotionError(f"unknown emotion {quoted(name)}; known are {', '.join(LABELS)}")
+def _unknown(name: str) -> str:
+    return f"unknown emotion {quoted(name)}; known are {', '.join(LABELS)}"
 
 
 def _pairs(text: str) -> dict[str, float]:

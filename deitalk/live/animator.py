@@ -537,7 +537,7 @@ class LiveAnimator:
     def _listen(
         self, ready: list[int], others: Sequence[Float32 | None], begin: Int64, count: int
     ) -> Bool:
-        """Frames in which the other speakers of streams speak [shape=(B, count)]."""
+        """Return the frames in which each stream's other speaker speaks [shape=(B, count)]."""
         speaking = np.zeros((len(ready), count), bool)
         given = [(k, other) for k, other in enumerate(others) if other is not None]
         if not given:

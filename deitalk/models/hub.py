@@ -1,4 +1,7 @@
-"""Models to the Hugging Face hub, with a card made of what the folder and its run's report say."""
+"""`push_to_hub` uploads model folders to the Hugging Face hub, with a card.
+
+The card is written from the files of the folder and the report of its run.
+"""
 
 import json
 from pathlib import Path

@@ -330,9 +330,9 @@ def _suggested(
 
 
 def _felt(acting: Acting, other: OtherVoice, recording: Recording) -> tuple[Acting, Recording]:
-    """The acting with what the one feels whom it listens to, and the recording with a note on it.
+    """Return the acting with the emotion of the other recording, and the recording with a note.
 
-    Without a note where the emotion is given.
+    The emotion is suggested from the other voice; where it is given there is no note.
     """
     if other.recording is None:
         return acting, recording

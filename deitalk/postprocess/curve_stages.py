@@ -260,7 +260,7 @@ class OpenMouth(nn.Module):
             How far the lips of the neutral one do not meet.
         opening : Tensor [shape=(B, T, 1, 1)]
             Factor on both readings.
-        felt : Tensor [shape=(B, T, 1, 1), range 0 to 1.2]
+        felt : Tensor [shape=(B, T, 1, 1), range 0 to 1.6]
             Intensity of the emotion in the voice.
         shown : Tensor [shape=(B, T, 1), range 0 to 4]
             Intensity to show of emotions other than neutral.

@@ -42,7 +42,7 @@ class VoiceTracks(NamedTuple):
     side: Array
     """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
     felt: Array
-    """Intensity of the emotion in the voice [shape=(T,), range 0 to 1.2]."""
+    """Intensity of the emotion in the voice [shape=(T,), range 0 to 1.6]."""
 
     def columns(self) -> Array:
         """All of them side by side [shape=(T, 44)]."""

@@ -112,19 +112,25 @@ def parse_gains(gains: str | Mapping[str, float] | None, what: str = "gain") -> 
     Raises
     ------
     CurveError
-        If a part of the text is something else, or a factor is not finite or beyond ±1e6.
+        If a part of the text is something else or names one twice, or a factor is not finite or
+        beyond ±1e6.
     """
     if gains is None or isinstance(gains, Mapping):
         found = dict(gains or {})
     else:
         found = {}
         for part in str(gains).split(","):
-            name, _, factor = part.partition("=")
-            found[name.strip()] = number_of(factor)
-            if math.isnan(found[name.strip()]):
+            name, _, text = part.partition("=")
+            name, factor = name.strip(), number_of(text)
+            if math.isnan(factor):
                 raise CurveError(
                     f"{what} {quoted(part)} must be NAME=NUMBER of a control or region: brow=0.5"
                 )
+            if name in found:
+                raise CurveError(
+                    f"{what} of {name} is given twice in {quoted(gains)}; give it once"
+                )
+            found[name] = factor
     return {name: _finite(factor, f"{what} of {name}") for name, factor in found.items()}
 
 

@@ -137,13 +137,17 @@ def find_format(
         if name not in by_name:
             raise FormatError(f"unknown format {name!r}; known: {', '.join(by_name)}")
         return by_name[name]
-    endings = [(s, f) for f in fits for s in f.suffixes if path.name.lower().endswith(s)]
-    if not endings:
-        if readable:
-            check_file(path, CURVES_BYTES)  # no suffix helps what is not there
-        known = ", ".join(s for f in fits for s in f.suffixes)
-        raise FormatError(f"{path}: no format has the suffix {path.suffix!r}; known: {known}")
-    return max(endings, key=lambda ending: len(ending[0]))[1]
+    endings = [(s, f) for f in FORMATS for s in f.suffixes if path.name.lower().endswith(s)]
+    suffix, found = max(endings, key=lambda ending: len(ending[0]), default=(path.suffix, None))
+    if found in fits:
+        return found
+    if readable and not found:
+        check_file(path, CURVES_BYTES)  # no suffix helps what is not there
+    known = ", ".join(s for f in fits for s in f.suffixes)
+    which = (
+        f"{found.name} ({suffix}) is only read" if found else f"no format has the suffix {suffix!r}"
+    )
+    raise FormatError(f"{path}: {which}; known: {known}")
 
 
 def format_of_header(header: Header) -> str | None:

@@ -1,4 +1,4 @@
-"""A script: words with what is said of how they are spoken, laid along a recording.
+"""A script states the words of a recording and how they are spoken; this module reads scripts.
 
 Three notations are read:
 

@@ -234,7 +234,7 @@ def apex_rows(poses: Mapping[str, Float64]) -> Rows:
 
 
 def named_rows(sounds: Mapping[str, Float32]) -> Rows:
-    """Share of the labels, on the calm sound of every actor, that their mean poses tell apart."""
+    """Return the share of labels that are recognised by mean poses, on each actor's calm sound."""
     poses = np.array(
         [
             [

@@ -163,7 +163,8 @@ class FinetuneTask(CurveTask):
     Raises
     ------
     DataError
-        If the dataset folder is not as it must be, or holds no clips to train on or to validate.
+        If the dataset folder, the corpus or the table of the rig is not as it must be, or there
+        are no clips to train on or to validate.
     ConfigError
         If the network is too large, or speech is to be rehearsed for another rig than the base's.
     """
@@ -209,6 +210,8 @@ class FinetuneTask(CurveTask):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
         self.test_clips, self.conventions = division.test, {}
+        carried(self.config, self.controls)  # bad files are refused before there is a run folder
+        self._rehearsed()
         self.learnt = learnt_controls(config.rules, self.controls)
         self.pose = self._mean_pose(data)
         captured = self.learnt & self.pose.alive

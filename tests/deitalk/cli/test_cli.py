@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from rig import read_curves
+from rig import read_curves, rest_curves, write_curves
 from tests.command import deitalk, ran, refused
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -81,6 +81,32 @@ def test_animate_reads_stdin(tmp_path, model, speech):
     done = deitalk("animate", "-", "--model", model, "-o", out, stdin=data)
     assert done.code == 0, done.err
     assert len(read_curves(out)) == 45
+
+
+@pytest.mark.parametrize(
+    ("shell", "arguments", "code", "said"),
+    [
+        ("2>&-", ["convert", "a.csv", "b.json"], 0, ""),
+        ("<&- >&- 2>&-", ["convert", "a.csv", "b.json"], 0, ""),
+        ("<&-", ["animate", "-", "-o", "b.json"], 1, "deitalk: /dev/null is empty"),
+        ("2>&-", ["convert", "absent.csv", "b.json"], 1, ""),
+    ],
+)
+def test_a_command_without_standard_streams_ends_as_with_them(
+    tmp_path, shell, arguments, code, said
+):
+    write_curves(tmp_path / "a.csv", rest_curves(3))
+    line = f'exec "$@" {shell}', "sh", sys.executable, "-m", "deitalk", *arguments
+    done = subprocess.run(["sh", "-c", *line], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == code and done.stderr.startswith(said), done
+    assert (tmp_path / "b.json").is_file() == (code == 0)
+
+
+def test_a_removed_working_folder_is_one_line(tmp_path):
+    line = f'cd "{tmp_path}" && rmdir "{tmp_path}" && exec "$@"', "sh", sys.executable, "-P", "-m"
+    command = ["sh", "-c", *line, "deitalk", "animate", ROOT / "docs/samples/promise.flac"]
+    done = subprocess.run([*command, "-o", ROOT / "x.csv"], capture_output=True, text=True)
+    assert done.returncode == 1 and "working folder was removed" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
@@ -184,6 +210,11 @@ def test_error_for_a_file_name_with_a_dash_first_gives_a_spelling_that_works(tmp
     (tmp_path / "-dash.wav").touch()
     line = refused("animate", "-dash.wav", "-o", "take", code=2)
     assert line.endswith("write ./-dash.wav for the file of that name")
+
+
+def test_a_model_is_not_exported_to_the_name_of_another_file(tmp_path):
+    assert "files end with .onnx" in refused("model", "export", "default", "-o", tmp_path / "d.txt")
+    assert not any(tmp_path.iterdir())
 
 
 def test_stdout_is_no_target(tmp_path, speech):

@@ -178,7 +178,7 @@ def test_a_key_without_strength_is_full(tmp_path, suffix, last):
         ([{**KEYS[0], "strength": -0.5}], ["time 1", "happy is -0.5"]),
         ([{**KEYS[0], "strength": 1.5}], ["time 1", "sum to 1.5"]),
         ([{**KEYS[0], "time": float("nan")}], ["track", "finite"]),
-        ([{**KEYS[0], "emotion": "joy"}], ["unknown emotion 'joy'", "happy"]),
+        ([KEYS[0], {**KEYS[1], "emotion": "joy"}], ["key 2", "unknown emotion 'joy'", "happy"]),
         ([{"time": 1.0, "emotion": "happy", "weight": 0.5}], ["key 1", "no 'strength'"]),
         ([{"emotion": "sad", "strength": 1}], ["key 1", "no 'time'"]),
         ([], ["holds no keys"]),

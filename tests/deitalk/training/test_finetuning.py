@@ -95,6 +95,13 @@ def test_curves_of_another_rig_without_its_file_are_refused(base, foreign, tmp_p
     assert "give --rig, its file" in name_option(caught.value)
 
 
+@pytest.mark.parametrize("key", ["map", "corpus"])
+def test_files_of_a_tuning_that_are_absent_leave_no_run(base, data, tmp_path, key):
+    with one_line(DataError, match="absent"):
+        finetune(recipe(base, f"tune.{key}={tmp_path / 'absent.csv'}"), data, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_mesh_models_are_no_base():
     with one_line(CheckpointError, match="sdfa: makes mesh; a DEITalk model"):
         read_recipe(None, base="sdfa")

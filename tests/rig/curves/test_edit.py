@@ -75,6 +75,7 @@ def test_gains_are_read_from_a_text():
         ("", "NAME=NUMBER"),
         ("jaw=x", "NAME=NUMBER"),
         ("jaw=inf", "gain of jaw is inf"),
+        ("jaw=1.2,brow=1,jaw=2", "gain of jaw is given twice"),
         ({"jaw": "2"}, "it must be a number"),
     ],
 )

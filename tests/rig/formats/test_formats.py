@@ -315,6 +315,9 @@ def test_what_is_no_file_is_said_before_its_suffix(tmp_path, read, name):
 def test_write_rejects_impossible_paths(tmp_path):
     with pytest.raises(FormatError, match=r"no format has the suffix '.abc'; known: .csv"):
         write_curves(tmp_path / "c.abc", rest_curves(1))
+    for name in (f"c{end}" for known in TABLE if known.write is None for end in known.suffixes):
+        with pytest.raises(FormatError, match=r"is only read; known: \.csv"):  # not as json or txt
+            write_curves(tmp_path / name, rest_curves(1))
     with pytest.raises(FormatError, match="unknown format 'abc'; known: csv"):
         write_curves(tmp_path / "c.csv", rest_curves(1), format="abc")
     with pytest.raises(FormatError, match="cannot write"):
