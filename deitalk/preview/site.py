@@ -5,9 +5,10 @@ Runtime; any static host serves it, and nothing that a user drops or says leaves
 and runtime are packed, and unpacked in the browser: of a model first all even bytes, then all odd
 ones, so that the upper halves of its weights, which alone can be made smaller, are together. The
 live model's file has only the weights that the other one lacks, and is of one voice, three frames a
-run, which take half the time of three runs: it is spent on reading the weights and on a thousand
-small operators. The operators of the other one are fused for ONNX Runtime,
-which opens it in two thirds of the time; of the live model this would be no faster, and larger.
+run, which take less than half the time of three runs: it is
+spent on reading the weights and on a thousand small operators. The operators of the other one are
+fused for ONNX Runtime, which opens it in two thirds of the time; of the live model this would be no
+faster, and larger.
 """
 
 import json

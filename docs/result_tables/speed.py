@@ -37,13 +37,13 @@ def live_speed() -> str:
             *(short(s["cores_of_the_voices"], 2) for s in both),
         ],
     ]
-    spent = [row["cores"] for row in run["periods"]]
+    spent, threads = [row["cores"] for row in run["periods"]], run["threads"]
     skipped = sum(row["skipped"] for row in run["periods"])
     whole = [
         ["frame's sound to its datagram, beyond the look-ahead: median", "30 ms", _ms(run)],
         ["the same, largest p99 of half a minute", "", _ms(run, "p99_")],
         ["frames skipped", "0", str(skipped)],
-        ["share of a core", "", short(sum(spent) / len(spent), 2)],
+        [f"share of a core (threads of torch: {threads})", "", short(sum(spent) / len(spent), 2)],
         ["growth of memory", "", f"{run['memory_growth_mb']:.0f} MB"],
     ]
     first = table([["", "must", "torch", "ONNX Runtime"], *rows])

@@ -101,7 +101,7 @@ def largest(found: list[Reading], expected: list[Reading], model: DEITalk) -> fl
 
 
 def live_ms(device: str, backend: str, count: int) -> dict[str, float]:
-    """Time of the call that takes the next message of so many voices, ms."""
+    """Time of the call that takes the next message of so many voices, ms; torch's calls in it."""
     network: Any = load_network("live", backend=backend, device=device)
     animator = LiveAnimator(network, "happy", streams=count)
     sound, step = speechlike(10), SAMPLE_RATE * MESSAGE_MS // 1000
@@ -113,10 +113,14 @@ def live_ms(device: str, backend: str, count: int) -> dict[str, float]:
         wall.append(1e3 * (time.perf_counter() - began))
         spent.append(1e3 * (time.process_time() - used))
     late = wall[WARM_MESSAGES:]
+    with Calls() as calls:
+        animator.feed([piece] * count if count > 1 else piece)
     return {
         "median_ms": float(np.median(late)),
         "p95_ms": float(np.percentile(late, 95)),
         "processor_ms_of_a_voice": float(np.median(spent[WARM_MESSAGES:])) / count,
+        "calls": calls.count,
+        "megabytes_crossed": calls.crossed / 1e6,
     }
 
 

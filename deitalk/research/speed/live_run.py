@@ -91,7 +91,8 @@ class Run:
         port = str(self.socket.getsockname()[1])
         module = "deitalk.research.speed.live_run"
         command = [sys.executable, "-P", "-m", module, "--command", str(slower), port, backend]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        where = os.environ | {"OMP_NUM_THREADS": "1"}  # whatever is set here
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=where)
         assert self.process.stdout is not None
         self.start = float(self.process.stdout.readline())
 
