@@ -197,7 +197,7 @@ def test_a_captured_shape_is_the_users_shape(plain, face, name):
     head, _ = plain
     moved = (posed(head, {name: 1.0}) - head.neutral)[head.slices["skin"]]
     expected = face.skin["deltas"][name][moving(face)]
-    assert np.abs(moved - expected).max() < 0.03  # cm, of a head that is fitted to another
+    assert np.abs(moved - expected).max() < 0.035  # cm, of a head that is fitted to another
 
 
 def test_shapes_add_up_and_lips_close_over_an_open_jaw(plain, face):
