@@ -86,10 +86,14 @@ class LogMel(nn.Module):
         return padded.unfold(1, N_FFT, 1)[:, torch.from_numpy(starts - begin).to(waveform.device)]
 
     def decades(self, windows: Tensor) -> Tensor:
-        """Logarithm to base 10 (B, M, F) of the mel power of windows (B, M, 400)."""
-        spectra = torch.fft.rfft(windows * self.window)
-        power = torch.view_as_real(spectra).square().sum(dim=-1) @ self.filters
-        return power.clamp(min=SILENCE).log10()
+        """Logarithm to base 10 (B, M, F) of the mel power of windows (B, M, 400).
+
+        In float32 also where the network computes in another precision.
+        """
+        with torch.autocast("cuda" if windows.is_cuda else "cpu", enabled=False):
+            spectra = torch.fft.rfft(windows * self.window)
+            power = torch.view_as_real(spectra).square().sum(dim=-1) @ self.filters
+            return power.clamp(min=SILENCE).log10()
 
     def forward(self, waveform: Tensor, n_frames: int, peak: Tensor | None = None) -> Tensor:
         """Spectrogram (B, F, M) of (B, S).

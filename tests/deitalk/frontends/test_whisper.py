@@ -108,6 +108,16 @@ def test_spectrogram_inside_a_clip_is_that_of_transformers(n_mels):
     assert float(expected.std()) > 0.3
 
 
+def test_the_spectrogram_is_float32_where_the_network_is_not():
+    """Its logarithms have more digits than bfloat16, and clips are surveyed by the same."""
+    frontend, sound = tiny(), speech(12.0)
+    expected = frontend.mel(sound[None], 100), frontend.surveys([sound.numpy()])
+    with torch.autocast("cpu", torch.bfloat16):
+        found = frontend.mel(sound[None], 100), frontend.surveys([sound.numpy()])
+    for a, b in zip(found, expected, strict=True):
+        assert torch.equal(a, b)
+
+
 def test_frames_of_the_spectrogram_lie_on_their_samples():
     """A click at sample 8000 = 160 · 50 is in frames 49, 50 and 51 alone, most in 50."""
     click = torch.zeros(1, 16_000)
