@@ -29,7 +29,7 @@ class VoiceIntensity(Section):
     """State of feeling per decibel of the voice's strength, in the logarithm of odds."""
     middle: float = Field(default=0.5, ge=-100, le=100)
     """Strength whose intensity is half of the most, dB above the usual."""
-    display: Slope = 0.2
+    display: Slope = 0.35
     """Display of the changes within a phrase, per standard deviation of liveliness."""
 
 
@@ -83,7 +83,7 @@ class ScaleOpening(Section):
     usual: Share = 0.77
     """Intensity from which the opening increases: between the normal and the strong takes of two
     corpora of actors."""
-    shown: Slope = 0.45
+    shown: Slope = 0.2
     """Increase of the opening per unit of an emotion's intensity in the voice above `middle`,
     decrease per unit below it, where an intensity of 1 or more is shown; in proportion under 1."""
     middle: Share = 0.95

@@ -26,7 +26,7 @@ from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
-SPREAD = 4.6
+SPREAD = 4.8
 """Standard deviation of the logarithms of the drawn weights: the largest of three is .88 on the
 average."""
 HOME, WEAK_HOME, STEEPNESS = 2.0, 1.0, 1.5
