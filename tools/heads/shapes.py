@@ -3,9 +3,8 @@
 Most shapes were carried from this project's former procedural head to the new skin
 (`former_shapes.npz`, made once by `rig.retarget.methods.carry_shapes`). Face units replace or join
 them where they look better (`MIX`); ``flesh.csv`` adds mounds, folds and lids that go with a muscle
-(half of a control, whether one lip alone, place and radii on the average head, cm, displacement,
-share kept at the lips);
-formulas move tongue, lower teeth and ears.
+(half of a control, which lip or both, place and radii on the average head, cm, displacement, share
+kept at the lips); formulas move tongue, lower teeth and ears.
 """
 
 from pathlib import Path
@@ -362,7 +361,7 @@ class Shapes:
             "CTRL_C_tongue_roll.ty": np.stack(
                 [-0.2 * across * front, 0.42 * (across / 1.6) ** 2 * front, zero], 1
             ) * hold[:, None],
-            "CTRL_C_jaw.ty": np.stack([zero, 0.1 * front, 0.1 * front], 1) * hold[:, None],
+            "CTRL_C_jaw.ty": np.stack([zero, 0.22 * front + 0.08 * body, 0.1 * front], 1) * hold[:, None],
         }  # fmt: skip
 
     def _more(self, deltas, place):
