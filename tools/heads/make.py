@@ -57,8 +57,8 @@ TONGUE = (0.92, 0.85, 0.83)
 """Colour of the tongue over its picture."""
 CORRIDOR = {"teeth_upper": (0.7, 1.9), "teeth_lower": (0.6, 1.8), "tongue": (0.4, 1.2)}
 """Distance from the middle where the shadow of the cheeks on a part begins, and over what way, cm."""
-DEEP_LIGHT = {"teeth_upper": ((0.85, 0.6), 3.4), "teeth_lower": ((0.66, 0.44), 3.6),
-              "tongue": ((0.9, 0.72), 4.4)}  # fmt: skip
+DEEP_LIGHT = {"teeth_upper": ((0.85, 0.6), 3.4), "teeth_lower": ((0.56, 0.38), 2.6),
+              "tongue": ((0.86, 0.66), 4.2)}  # fmt: skip
 """Least light (of the sky, of the first lamp) of the parts of an open mouth at its front, and how
 far behind the lips there is none, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,

@@ -3,8 +3,8 @@
 Most shapes were carried from this project's former procedural head to the new skin
 (`former_shapes.npz`, made once by `rig.retarget.methods.carry_shapes`). Face units replace or join
 them where they look better (`MIX`); ``flesh.csv`` adds mounds, folds and lids that go with a muscle
-(half of a control, place and radii on the average head, cm, displacement, share kept at the lips);
-formulas move tongue, lower teeth and ears.
+(half of a control, which lip or both, place and radii on the average head, cm, displacement, share
+kept at the lips); formulas move tongue, lower teeth and ears.
 """
 
 from pathlib import Path
@@ -61,9 +61,9 @@ TONGUE_UP = 1.0
 _BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
          ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
-TEETH_AWAY = (0, -0.2, -0.25)
+TEETH_AWAY = (0, -0.65, -0.25)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
-lower lip, which covers half of them."""
+lower lip, which covers all but their edges."""
 
 
 def _sigmoid(x):
@@ -260,13 +260,15 @@ class Shapes:
         """What goes with the muscles: mounds, folds and lids of ``flesh.csv``, of both sides."""
         lips = np.exp(-((np.minimum(*self.away) / 0.55) ** 2))
         skin, found = self.average[: self.n], {}
+        upper = self.upper[: self.n]
+        of = {"both": 1, "upper": upper, "lower": 1 - upper}
         for row in rows_of(Path(__file__).with_name("flesh.csv")):
-            what = {key: float(row[key]) for key in list(row)[2:]}
+            what = {key: float(row[key]) for key in list(row)[3:]}
             size = np.array([what["across"], what["high"], DEPTH])
             for s, sign in (("L", 1), ("R", -1)):
                 middle = np.array([sign * what["x"], what["y"], what["z"]])
                 share = np.exp(-((((skin - middle) / size) ** 2).sum(1)))
-                share *= 1 - (1 - what["lips"]) * lips
+                share *= of[row["lip"]] * (1 - (1 - what["lips"]) * lips)
                 moved = np.outer(share, [sign * what["dx"], what["dy"], what["dz"]])
                 half = row["half"] if "CTRL" in row["half"] else f"CTRL_{s}_{row['half']}"
                 found.setdefault(half, np.zeros_like(self.average))[: self.n] += moved
@@ -359,7 +361,7 @@ class Shapes:
             "CTRL_C_tongue_roll.ty": np.stack(
                 [-0.2 * across * front, 0.42 * (across / 1.6) ** 2 * front, zero], 1
             ) * hold[:, None],
-            "CTRL_C_jaw.ty": np.stack([zero, 0.4 * front + 0.25 * body, 0.1 * front], 1) * hold[:, None],
+            "CTRL_C_jaw.ty": np.stack([zero, 0.22 * front + 0.08 * body, 0.1 * front], 1) * hold[:, None],
         }  # fmt: skip
 
     def _more(self, deltas, place):

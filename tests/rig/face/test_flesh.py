@@ -135,6 +135,42 @@ def test_upper_lip_of_a_smile_is_thinner_and_keeps_its_bow(person):
     assert upper[0, [0, -1], Y].mean() > upper[0, len(upper[0]) // 2, Y] + 0.3
 
 
+def _lips(person, pose, places):
+    """Height of both lips (2, P) at shares of the way from the middle to the left corner, cm."""
+    head = build_head(person)
+    points = head.pose(pose_values(pose))
+    corner = points[head.landmarks["mouth_corner_left"]]
+    upper, lower = head.lip_columns(points[None])
+    return [np.interp(corner[X] * np.array(places), c[0, :, X], c[0, :, Y]) for c in (upper, lower)]
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_open_smile_is_a_crescent_that_closes_before_its_corners(person):
+    """Both lips rise from the middle to the corner, the lower one more."""
+    upper, lower = _lips(person, EMOTION_POSES["happy"], (0, 0.4, 0.7))
+    assert (np.diff(upper) > 0.03).all() and (np.diff(lower) > 0.05).all()
+    gap = upper - lower
+    assert 0.3 < gap[0] and gap[2] < 0.5 * gap[0]
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_snarl_is_square(person):
+    """Levator labii alaeque nasi raises the lip over the canine more than in the middle."""
+    middle, canine, side = _lips(person, EMOTION_POSES["angry"], (0, 0.45, 0.9))[0]
+    assert canine > middle + 0.08 and canine > side + 0.2
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_lower_teeth_hide_in_a_surprised_mouth(person):
+    """The incisors' edges are at most 1 mm over the lower lip's."""
+    head = build_head(person)
+    points = head.pose(pose_values(EMOTION_POSES["surprised"]))
+    lip = head.lip_columns(points[None])[1][0]
+    row = points[head.slices["teeth_lower"]]
+    edge = row[np.abs(row[:, X]) < 0.5, Y].max()
+    assert edge < lip[len(lip) // 2, Y] + 0.1
+
+
 @pytest.mark.parametrize("person", PEOPLE)
 @pytest.mark.parametrize("raiser", LID_RAISERS)
 def test_lids_meet_in_a_blink_whatever_raises_the_lower_one(person, raiser):
