@@ -273,7 +273,7 @@ def paint_scalp(picture, base, person):
     across = [(within / 0.6 + 9) % 64, (turn / 0.022) % 4096]  # strokes are .02 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     if look["style"] == "coils":
-        stroke = 0.55 + 0.2 * cloud(at, 0.05, 44)
+        stroke = 0.55 + 0.15 * cloud(at, 0.05, 44)
     share = np.zeros(known.shape)
     share[known] = smooth((within + look.get("roots", 0)) / soft + 0.8 * (stroke - 0.55))
     share *= look["scalp"]
@@ -284,6 +284,8 @@ def paint_scalp(picture, base, person):
         share *= 1 - look["part_share"] * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
     colour = np.array(look.get("root_colour", look["hair_colour"])) * 0.9 * look["root"]
+    if look["style"] == "long":  # strands lie across the parting
+        colour = colour * (1 + 0.14 * cloud(place * [0.1, 0.5, 1], 0.05, 45))[..., None]
     skin = picture[:, :width, :3]
     picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
 
