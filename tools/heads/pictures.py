@@ -14,7 +14,7 @@ from tools.heads import lips as lips_of
 from tools.heads import locks, teeth
 from tools.heads.base import eye_of
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
-from tools.heads.strands import ROUND_CM, around, is_ear, over_line, smooth
+from tools.heads.strands import ROUND_CM, around, cloud, is_ear, over_line, smooth, uneven
 
 SIDE = 2048
 PLACES = {
@@ -92,12 +92,16 @@ ZONES = (
     (3.2, 4.25, 1.7, 0.55, (0.94, 0.87, 0.86)),
     (0.0, 7.6, 4.5, 2.0, (1.0, 0.985, 0.95)),
     (0.0, -2.6, 2.2, 0.5, (1.0, 0.94, 0.93)),
-    (5.0, -4.8, 1.5, 1.8, (0.98, 0.985, 0.97)),
+    (5.0, -4.8, 1.5, 1.8, (0.99, 0.985, 0.97)),
+    (2.6, -1.8, 0.9, 1.2, (1.02, 0.90, 0.86)),
+    (3.4, -3.1, 0.9, 1.1, (1.02, 0.91, 0.87)),
     (6.6, 4.0, 1.2, 2.0, (0.97, 0.96, 0.98)),
 )
 """Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
 BROAD = 90
 """Texels over which the picture's colours are evened."""
+BORDER = 5
+"""Texels over which the border of the lips is softened."""
 RAW = np.array([0.50, 0.45])
 """Least green and blue of skin, for one of red: the picture's mouth is painted like a wound."""
 NECK, NECK_CM = (-3.0, 6.0), 2.0
@@ -107,7 +111,7 @@ SHINE = (
     (0.0, 0.0, 0.9, 1.0, 0.15), (0.0, 2.4, 0.5, 1.8, 0.09), (0.0, 7.2, 3.0, 1.6, 0.08),
     (4.6, 1.0, 1.4, 0.8, 0.09), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
     (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 1.8, 0.75, 0.24),
-    (3.0, -3.7, 0.9, 1.0, -0.10),
+    (3.0, -3.7, 0.9, 1.0, -0.10), (0.0, -4.0, 1.0, 0.35, 0.12),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -121,13 +125,6 @@ def _zone(place, x, y, wide, high):
 def shine(points):
     """What the gloss of points of the average head has more than that of all skin."""
     return sum(more * _zone(points, *where) for *where, more in SHINE)
-
-
-def _cloud(place, size, seed):
-    """Noise at places (..., 3) with features of `size` cm, the same in all directions."""
-    field = gaussian_filter(np.random.default_rng(seed).normal(size=(80, 80, 80)), 1, mode="wrap")
-    at = np.moveaxis(place / size, -1, 0)
-    return map_coordinates(field / field.std(), at, order=1, mode="grid-wrap")
 
 
 def _drawn(place, lips):
@@ -169,13 +166,16 @@ def skin(base, person):
     ears = (look["flush"] * is_ear(place))[..., None]
     colour = colour * (1 - ears * [0.0, 0.10, 0.09])
     colour = lips_of.painted(colour, plain + 0.3 * fine, mask, place, person)
+    soft = gaussian_filter(colour, (BORDER, BORDER, 0))
+    border = np.exp(-(((gaussian_filter(mask, BORDER) - 0.4) / 0.3) ** 2)) * (place[..., 2] > 8.8)
+    colour = colour + border[..., None] * (soft - colour)
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
-    detail = sum(a * _cloud(place, w, s) for a, w, s in
+    detail = sum(a * cloud(place, w, s) for a, w, s in
                  ((0.018, 0.07, 2), (0.008, 0.2, 3)))  # fmt: skip
-    blood = sum(a * _cloud(place, w, s) for a, w, s in
+    blood = sum(a * cloud(place, w, s) for a, w, s in
                 ((0.010, 0.06, 5), (0.008, 0.12, 6), (0.008, 2.0, 10)))  # fmt: skip
-    spots = 0.20 * np.clip(_cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
+    spots = 0.20 * np.clip(cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
     colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
@@ -187,8 +187,8 @@ def skin(base, person):
         )
         where = np.s_[round((1 - y1) * shape[0]) : round((1 - y0) * shape[0]),
                       round(x0 * shape[1]) : round(x1 * shape[1])]  # fmt: skip
-        colour[where] = 0.35 * colour[where] + 0.65 * np.array(
-            look.get("flesh", (0.80, 0.58, 0.54))
+        colour[where] = 0.15 * colour[where] + 0.85 * np.array(
+            look.get("flesh", (0.77, 0.675, 0.625))
         )
     colour = colour * _lids(base, person, place)
     colour = _joined(base, person, np.clip(colour, 0, 1))
@@ -261,7 +261,7 @@ def paint_scalp(picture, base, person):
     place, known = texels(base, person)
     known = known & (place[..., 1] > -6) & (place[..., 2] < 14)
     at = place[known]
-    within = over_line(at, look) + 0.16 * _cloud(at, 0.5, 41) + 0.12 * _cloud(at, 0.15, 42)
+    within = over_line(at, look) + look.get("uneven", 1) * uneven(at)
     noise = np.random.default_rng(3).random((64, 4096))
     noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
     noise = (noise - noise.min()) / np.ptp(noise)
@@ -273,17 +273,19 @@ def paint_scalp(picture, base, person):
     across = [(within / 0.6 + 9) % 64, (turn / 0.022) % 4096]  # strokes are .02 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     if look["style"] == "coils":
-        stroke = 0.55 + 0.18 * _cloud(at, 0.06, 44)
+        stroke = 0.55 + 0.15 * cloud(at, 0.05, 44)
     share = np.zeros(known.shape)
     share[known] = smooth((within + look.get("roots", 0)) / soft + 0.8 * (stroke - 0.55))
     share *= look["scalp"]
     if look["style"] == "long":  # the parting is lighter
-        line = place[..., 0] - look["parting"] - 0.07 * _cloud(place, 0.4, 43)
-        line = np.exp(-((line / 0.16) ** 2)) * (place[..., 1] > 8.5)
+        line = place[..., 0] - look["parting"] - 0.07 * cloud(place, 0.4, 43)
+        line = np.exp(-((line / 0.12) ** 2)) * (place[..., 1] > 8.5)
         line[known] *= smooth(within / 2.0)
         share *= 1 - look["part_share"] * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
     colour = np.array(look.get("root_colour", look["hair_colour"])) * 0.9 * look["root"]
+    if look["style"] == "long":  # strands lie across the parting
+        colour = colour * (1 + 0.14 * cloud(place * [0.1, 0.5, 1], 0.05, 45))[..., None]
     skin = picture[:, :width, :3]
     picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
 
@@ -315,6 +317,10 @@ def paint_beard(picture, base, person):
     picture[:, :width, :3] = np.round(255 * (skin * (1 - share) + dark * share))
 
 
+LID_SHADOW = 0.16
+"""How much darker the white is below the upper lid than in the middle."""
+
+
 def _eye(look, side=512):
     """Ball with iris, pupil, ring at the iris's rim and veins."""
     y, x = (np.indices((side, side)) + 0.5) / side * 2 - 1
@@ -325,8 +331,9 @@ def _eye(look, side=512):
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
     corner = smooth((share - 1.15) / 1.1)[..., None]
-    white = np.array(look.get("white", (0.75, 0.715, 0.685))) * (1 - corner * [0.26, 0.38, 0.41])
+    white = np.array(look.get("white", (0.81, 0.762, 0.715))) * (1 - corner * [0.26, 0.38, 0.41])
     white = white * (1 - (0.1 + 0.35 * corner) * veins[..., None] * [0.2, 1, 1])
+    white = white * (1 - LID_SHADOW * smooth(-0.1 - 1.6 * y)[..., None] * [0.8, 1.0, 1.1])
     spots = gaussian_filter(np.random.default_rng(4).normal(size=(side, side)), 12)
     white = white * (1 + 0.035 * (spots / spots.std())[..., None] * [0.2, 1, 1.3])
     rng = np.random.default_rng(3)
@@ -336,7 +343,7 @@ def _eye(look, side=512):
     at = [np.clip(share, 0, 1) * 63, (turn / (2 * np.pi) % 1) * 2047]
     fibres = map_coordinates(rays, at, order=1, mode="wrap")
     iris = np.array(look["iris"]) / 255
-    inner = iris * [1.35, 1.15, 0.8]  # light from above gathers in the lower half
+    inner = iris * [1.34, 1.15, 0.87]  # light from above gathers in the lower half
     depth = 0.95 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
     blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
     colour = (inner * (1 - blend) + iris * blend) * (1 + 0.17 * fibres)[..., None]

@@ -6,7 +6,7 @@ are blended, the innermost layer first. Long hair falls from a parting over temp
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 from scipy.spatial import cKDTree
 
 from tools.heads import coils
@@ -66,6 +66,18 @@ def over_line(points, look):
     return np.where(is_ear(points), -9.0, side * far)
 
 
+def cloud(place, size, seed):
+    """Noise at places (..., 3) with features of `size` cm, the same in all directions."""
+    field = gaussian_filter(np.random.default_rng(seed).normal(size=(80, 80, 80)), 1, mode="wrap")
+    at = np.moveaxis(place / size, -1, 0)
+    return map_coordinates(field / field.std(), at, order=1, mode="grid-wrap")
+
+
+def uneven(points):
+    """How far the hairline wanders at points of the average head, cm."""
+    return 0.16 * cloud(points, 0.5, 41) + 0.12 * cloud(points, 0.15, 42)
+
+
 def is_ear(points):
     """Which points of the average head are of its ears."""
     far, high = np.abs(points[..., 0]), points[..., 1]
@@ -92,7 +104,7 @@ class Hair:
         self.inside, self.turn = self.high[kept], around(self.average[kept])
         self.tree = cKDTree(self.skin)
         soft = np.interp(around(self.average), *np.transpose(self.look.get("edges", [(0, 1.0)])))
-        self.full = np.clip(self.high / soft, 0, 1)
+        self.full = np.clip((self.high + uneven(self.average)) / soft, 0, 1)
         self.length = self.sides(person.skin, self.look)
 
     def sides(self, points, shorter):
