@@ -9,7 +9,7 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.hub import pinned
-from deitalk.config.load import load_model_config, parse_config, read_tree
+from deitalk.config.load import load_model_config, named, parse_config, read_tree
 from deitalk.config.rig_file import read_controls
 from deitalk.config.rules import RulesConfig, SharpenContacts
 from deitalk.data.captures.columns import read_mapping
@@ -74,7 +74,7 @@ def read_recipe(
     tree["model"] = network | (tree.get("model") or {})
     if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
         tree["data"] = {"augment": True} | (tree.get("data") or {})
-    return cast("FinetuneConfig", parse_config(tree))
+    return cast("FinetuneConfig", parse_config(tree, named(recipe, overrides)))
 
 
 def with_styles(
