@@ -92,6 +92,8 @@ class Section(BaseModel):
 
 
 S = TypeVar("S", bound=Section)
+NO_SECTION = "must be a section, which has keys"
+"""Rule of a group of settings."""
 _PROBLEMS = 5
 """Largest number of problems in one message."""
 
@@ -132,6 +134,8 @@ def _problem(item: Any, model: type[BaseModel]) -> str:
 
 def rule(item: Any, model: type[BaseModel] | None = None) -> str:
     """The rule that an error of pydantic states; of an unknown key what `model` knows there."""
+    if item["type"] in ("model_type", "model_attributes_type"):
+        return NO_SECTION
     if item["type"] != "extra_forbidden":
         return str(item["msg"]).removeprefix("Value error, ")
     sections = [] if model is None else [model]
