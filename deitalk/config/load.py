@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
@@ -42,8 +42,7 @@ def parse_config(tree: dict[str, Any], where: object = "configuration") -> AnyCo
     kind = tree.get("kind", "deitalk")
     if not isinstance(kind, str) or kind not in CONFIGS:
         raise ConfigError(f"{where}: kind={quoted(kind)}: must be one of {', '.join(CONFIGS)}")
-    config = cast("AnyConfig", checked(CONFIGS[kind], tree | {"kind": kind}, where))
-    return config
+    return checked(CONFIGS[kind], tree | {"kind": kind}, where)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
