@@ -197,7 +197,7 @@ def load_json(data: bytes | str, where: object, *, error: ErrorClass = FormatErr
         data = decode_text(data, where, error=error)
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     if 0 in raw:
-        raise error(f"{where} is no text")
+        raise error(f"{where} is no JSON: it is no text")
     depth = json_depth(raw)
     if depth > limits.NESTING:
         raise error(f"{where} nests {depth} levels; at most {limits.NESTING} are read")

@@ -143,7 +143,10 @@ def test_a_removed_working_folder_is_one_line(tmp_path):
         (["-o", "take.v2"], "a folder with a slash: take.v2/"),
         (["-o", ""], "the name of the output is empty"),
         (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
-        (["--voice", "{speech}"], "speech.wav is no text; `deitalk data voice` writes"),
+        (
+            ["--voice", "{speech}"],
+            "speech.wav is no JSON: it is no text; `deitalk data voice` writes",
+        ),
         (["--edit", "{speech}"], "speech.wav is no text; `deitalk diff` writes"),
     ],
 )
