@@ -16,6 +16,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
 from deitalk.config.hub import is_hub_name
+from deitalk.config.section import rule
 from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.device import check_device
@@ -246,7 +247,9 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         name = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"setting {quoted(name)}: {first['msg']}; see docs/service.md") from None
+        raise ConfigError(
+            f"setting {quoted(name)}: {rule(first, Settings)}; see docs/service.md"
+        ) from None
     except ValueError as error:  # JSON in the environment
         raise ConfigError(f"settings: {error}; lists and mappings are JSON") from None
 

@@ -21,10 +21,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from api.compute.live import MODEL
 from api.errors import Problem
-from deitalk.acting import Acting
+from deitalk.acting import LIVE_FIELDS, Acting
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.errors import ConfigError
 from deitalk.models.folder import read_about
 from rig.arrays import Float32
+from rig.errors import quoted
 
 FRAME = struct.Struct("<Ifd")
 """Number of the frame, seconds between its sound and this message, its time in the sound."""
@@ -50,6 +52,10 @@ def acting_of(fields: dict[str, Any], before: Acting | None = None) -> Acting:
     UserError
         If a field is unknown, wrong, or needs the whole recording.
     """
+    known = [name for name, when in LIVE_FIELDS.items() if before is None or when == "change"]
+    known += Start.model_fields if before is None else ()
+    for name in fields.keys() - Acting.model_fields.keys():
+        raise ConfigError(f"no field {quoted(name)}; known are {', '.join(known)}")
     return Acting.of(before, files={}, **fields).check_live()
 
 

@@ -22,6 +22,7 @@ from api.messages.formats import CURVE_SUFFIXES
 from api.messages.options import Options, Received, is_deferred
 from deitalk.acting import user_error
 from deitalk.acting_fields import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES
+from deitalk.config.section import rule
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted
@@ -196,4 +197,6 @@ def _checked(model: type[Options], fields: dict[str, Any]) -> Options:
         known = user_error(error)
         if not isinstance(known, ConfigError):
             raise known from None
-        raise RequestValidationError(error.errors(include_url=False)) from None
+        problems = error.errors(include_url=False)
+        stated = [item | {"type": "value_error", "msg": rule(item, model)} for item in problems]
+        raise RequestValidationError(stated) from None

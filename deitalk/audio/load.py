@@ -448,6 +448,6 @@ def check_path(path: Path) -> None:
     if stat.S_ISDIR(found.st_mode):
         raise AudioError(f"{path} is a folder, not a recording; name one file in it")
     if not stat.S_ISREG(found.st_mode):
-        raise AudioError(f"{path} is not a regular file; pass its content as bytes")
+        raise AudioError(f"{path} is not a regular file; copy its content to one")
     if found.st_size == 0:
         raise AudioError(f"{path} is empty (0 bytes); record or export it again")

@@ -28,6 +28,8 @@ VERBS = (
 """In the order of the help, each a function or a group in the module of its name."""
 TOGETHER = {"diff": "edits", "dub": "edits"}
 """Modules of other names."""
+NO_ROOM = ("failed to map segment", "cannot allocate memory", "can't allocate memory")
+"""What the loader of libraries and torch say where memory ends."""
 
 
 def commands(asked: str = "") -> CheckedCommands:
@@ -125,7 +127,9 @@ def main(app: typer.Typer | None = None, name: str = "deitalk") -> None:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has ended
         sys.exit(1)
-    except MemoryError:
+    except (MemoryError, ImportError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not any(told in str(error) for told in NO_ROOM):
+            raise
         _fail("not enough memory; give a shorter recording or a smaller file")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""

@@ -1,7 +1,6 @@
 """`deitalk animate`: a take, curves, a mesh or a picture of speech."""
 
 import os
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_outcome
+from deitalk.cli.console import bar, console, emit_outcome, sound_of
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
     MESH,
@@ -214,7 +213,7 @@ def _perform(
             torch.set_num_threads(most)
         return load_network(model, backend=chosen, device=device, threads=most, once=True)
 
-    sound = sys.stdin.buffer if speech == "-" else speech
+    sound = sound_of(speech)
     with console().status("loading the recording and the network"):
         prepared = prepare(sound, given.acting, load, choice=given.choice)
     with bar("animating") as progress:

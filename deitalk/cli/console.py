@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache, cached_property
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from rig.errors import UserError, as_line, decodable, decodable_values
 
@@ -120,6 +120,13 @@ def prepare_streams() -> None:
         reconfigure = getattr(getattr(sys, name), "reconfigure", None)
         if reconfigure and mode == "w":
             reconfigure(errors="backslashreplace")
+
+
+def sound_of(speech: str) -> str | IO[bytes]:
+    """The recording of an argument: ``-`` is standard input."""
+    if speech == "-" and getattr(sys.stdin, "name", "") == os.devnull:  # see `prepare_streams`
+        raise UserError("standard input is closed; pipe a recording into it, or name a file")
+    return sys.stdin.buffer if speech == "-" else speech
 
 
 @contextmanager

@@ -108,8 +108,10 @@ def convert(
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
         if not len(curves):
-            stop = "" if end is None else f" to {end:g}"
-            raise DeitalkError(f"no frame lies in seconds {start:g}{stop} of the {whole:.2f} s")
+            stop = "s on" if end is None else f"to {end:g} s"
+            raise DeitalkError(
+                f"no frame lies from {start:g} {stop}; the curves last {whole:.2f} s"
+            )
     if gain or offset or mirror or smooth:
         gains = parse_gains(",".join(gain or []) or None)
         offsets = parse_gains(",".join(offset or []) or None, "offset")

@@ -1,10 +1,9 @@
 """Meshes: `deitalk animate --vertices`, and `deitalk retarget` of a take to your own face."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deitalk.cli.console import bar, emit_outcome
+from deitalk.cli.console import bar, emit_outcome, sound_of
 from deitalk.cli.targets import reserve_mesh
 from deitalk.errors import DeitalkError
 
@@ -54,7 +53,7 @@ def animate_vertices(
         shapes = read_shapes(mesh)
         if landmarks is not None:
             read_landmarks(landmarks, shapes.neutral)
-    sound = sys.stdin.buffer if speech == "-" else speech
+    sound = sound_of(speech)
     who = int(speaker) if speaker.isdigit() else identity_of(speaker) if own else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech

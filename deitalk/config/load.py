@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
@@ -24,13 +24,15 @@ CONFIGS: dict[str, type[AnyConfig]] = {
 """Class of each ``kind``; a package with kinds of its own adds them."""
 
 
-def parse_config(tree: dict[str, Any]) -> AnyConfig:
+def parse_config(tree: dict[str, Any], where: object = "configuration") -> AnyConfig:
     """Check a tree of settings; its ``kind`` chooses the class, ``deitalk`` if it has none.
 
     Parameters
     ----------
     tree : dict
         Content of a YAML file; missing keys take their defaults.
+    where : path or str
+        Begins the message of an error.
 
     Raises
     ------
@@ -39,9 +41,8 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
     """
     kind = tree.get("kind", "deitalk")
     if not isinstance(kind, str) or kind not in CONFIGS:
-        raise ConfigError(f"kind={quoted(kind)}: must be one of {', '.join(CONFIGS)}")
-    config = cast("AnyConfig", checked(CONFIGS[kind].model_validate, tree | {"kind": kind}))
-    return config
+        raise ConfigError(f"{where}: kind={quoted(kind)}: must be one of {', '.join(CONFIGS)}")
+    return checked(CONFIGS[kind], tree | {"kind": kind}, where)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
@@ -59,7 +60,14 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     ConfigError
         If the file is missing, is no YAML mapping, or holds an unknown key or a bad value.
     """
-    return parse_config(read_tree(path, overrides))
+    return parse_config(read_tree(path, overrides), named(path, overrides))
+
+
+def named(path: Path | str | None, overrides: Sequence[str] = ()) -> str:
+    """Name of a configuration in messages."""
+    if path is None:
+        return "configuration"
+    return f"{path} with overrides" if overrides else str(path)
 
 
 OF_MODEL = ("name", "model", "rules")
@@ -76,7 +84,7 @@ def load_model_config(folder: Path) -> AnyConfig:
     kind = CONFIGS.get(tree.get("kind", "deitalk"))
     if kind is not None:
         tree = {key: tree[key] for key in OF_MODEL if key in tree} | {"kind": kind.stored_kind}
-    return parse_config(tree)
+    return parse_config(tree, folder / "config.yaml")
 
 
 def model_text(config: AnyConfig) -> str:

@@ -29,7 +29,7 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError
 
-from deitalk.config.section import Section
+from deitalk.config.section import Section, rule
 from deitalk.config.yaml_files import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
@@ -156,7 +156,7 @@ def _checked(path: Path, tree: Any) -> ControlSet:
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise ConfigError(f"{path}: {key}: {first['msg']}") from None
+        raise ConfigError(f"{path}: {key}: {rule(first, RigFile)}") from None
     except ControlError as error:
         raise ConfigError(f"{path}: {error}") from None
 

@@ -250,4 +250,4 @@ def read_rules(path: Path) -> RulesConfig | None:
         raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
     if tree.get("kind") == "sdfa":
         return None
-    return checked(RulesConfig.model_validate, tree.get("rules", {}))
+    return checked(RulesConfig, tree.get("rules", {}), path)

@@ -1,7 +1,7 @@
 """Types and limits of the fields of a configuration, and the YAML it is read from."""
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Protocol, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -92,12 +92,14 @@ class Section(BaseModel):
 
 
 S = TypeVar("S", bound=Section)
+NO_SECTION = "must be a section, which has keys"
+"""Rule of a group of settings."""
 _PROBLEMS = 5
 """Largest number of problems in one message."""
 
 
-def checked(validate: Callable[[Any], S], tree: Any) -> S:
-    """Settings of a tree of a YAML file, by pydantic's `validate`.
+def checked(model: type[S], tree: Any, where: object = "configuration") -> S:
+    """Settings of a tree of a YAML file; `where` begins the message.
 
     Raises
     ------
@@ -105,16 +107,16 @@ def checked(validate: Callable[[Any], S], tree: Any) -> S:
         With the key, the value and the rule of every problem, in one line.
     """
     try:
-        return validate(tree)
+        return model.model_validate(tree)
     except ValidationError as error:
         items = error.errors(include_url=False, include_context=False)
-        problems = "; ".join(_problem(item) for item in items[:_PROBLEMS])
+        problems = "; ".join(_problem(item, model) for item in items[:_PROBLEMS])
         if len(items) > _PROBLEMS:
             problems += f"; {len(items) - _PROBLEMS} more"
-        raise ConfigError(f"configuration: {problems}") from None
+        raise ConfigError(f"{where}: {problems}") from None
 
 
-def _problem(item: Any) -> str:
+def _problem(item: Any, model: type[BaseModel]) -> str:
     kinds = (
         "mel",
         "causal_whisper",
@@ -127,14 +129,32 @@ def _problem(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     if item["type"] == "union_tag_invalid":
         key, item = f"{key}.kind".strip("."), item | {"input": item["input"]["kind"]}
-    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule(item)}"
+    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule(item, model)}"
 
 
-def rule(item: Any) -> str:
-    """The rule that an error of pydantic states."""
-    if item["type"] == "extra_forbidden":
-        return "unknown key"
-    return str(item["msg"]).removeprefix("Value error, ")
+def rule(item: Any, model: type[BaseModel] | None = None) -> str:
+    """The rule that an error of pydantic states; of an unknown key what `model` knows there."""
+    if item["type"] in ("model_type", "model_attributes_type"):
+        return NO_SECTION
+    if item["type"] != "extra_forbidden":
+        return str(item["msg"]).removeprefix("Value error, ")
+    sections = [] if model is None else [model]
+    for part in item["loc"][:-1]:
+        fields = [s.model_fields[part] for s in sections if part in s.model_fields]
+        tagged = [s for s in sections if "kind" in s.model_fields]
+        if fields:
+            sections = [s for field in fields for s in _sections(field.annotation)]
+        elif tagged:
+            sections = [s for s in tagged if part in get_args(s.model_fields["kind"].annotation)]
+    known = ", ".join(dict.fromkeys(key for section in sections for key in section.model_fields))
+    return f"unknown key; known are {known}" if known else "unknown key"
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """The groups of settings in a type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [section for part in get_args(annotation) for section in _sections(part)]
 
 
 class Optimisation(Section):

@@ -4,6 +4,7 @@ With aliases a text of 1 kB may expand to gigabytes, so they are refused; values
 while the text is parsed and before anything is built.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from rig.files.reading import read_text
 
 ErrorClass = Callable[[str], Exception]
 
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Plain: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _BUILD_ERRORS = (
     yaml.YAMLError,
     ValueError,
@@ -29,6 +30,17 @@ _BUILD_ERRORS = (
 )
 """Exceptions of PyYAML for values such as ``!!int x`` or the date 2024-99-99."""
 _TOO_DEEP = f"nested deeper than {limits.NESTING} levels"
+
+
+class _Loader(_Plain):  # type: ignore[misc]
+    """Plain values; a key that is given twice in a mapping is an error."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for key, count in keys.items():
+            if count > 1:
+                raise ValueError(f"key {quoted(key)} is given twice; give it once")
+        return super().construct_mapping(node, deep)
 
 
 def read_yaml(path: Path, *, error: ErrorClass = ConfigError) -> Any:

@@ -99,10 +99,10 @@ def read_actor(path: Path) -> ActorReference:
 
 def parse_actor(data: bytes, path: object) -> ActorReference:
     """Parse the content of a file of `read_actor`; `path` is for messages."""
-    content = load_json(data, path, error=EmotionError)
-    rule = "is no actor reference; `deitalk data voice` writes one"
+    way_out = "`deitalk data voice` writes an actor reference"
+    content = load_json(data, path, error=lambda told: EmotionError(f"{told}; {way_out}"))
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise EmotionError(f"{path}: {rule}")
+        raise EmotionError(f"{path} is no actor reference; {way_out}")
     if content.get("version") != VERSION:
         version = quoted(content.get("version"))
         raise EmotionError(f"{path}: version {version} is not {VERSION}; build it again")
@@ -111,7 +111,7 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
         recordings = int(content["recordings"])
         effort = None if content.get("effort") is None else float(content["effort"])
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise EmotionError(f"{path}: {rule}") from None
+        raise EmotionError(f"{path} is no actor reference; {way_out}") from None
     for name, value in (("strength", strength), ("effort", effort or 0.0)):
         if not (math.isfinite(value) and abs(value) <= LARGEST):
             raise EmotionError(f"{path}: {name} {value:g} must be from -{LARGEST:g} to {LARGEST:g}")

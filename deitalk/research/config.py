@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from deitalk.config.curves import Config, DataConfig, LossConfig, ModelConfig, TrainConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, SDFAMelConfig
-from deitalk.config.load import AnyConfig, parse_config, read_tree
+from deitalk.config.load import AnyConfig, named, parse_config, read_tree
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.config.section import (
     AboveZero,
@@ -294,5 +294,6 @@ def read_training(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     Parameters and errors are those of `deitalk.config.load.load_config`.
     """
     tree = read_tree(path, overrides)
-    kind = tree.get("kind", "deitalk")
-    return parse_config(tree | {"kind": "training" if kind == "deitalk" else kind})
+    if tree.get("kind", "deitalk") == "deitalk":
+        tree["kind"] = "training"
+    return parse_config(tree, named(path, overrides))

@@ -40,7 +40,7 @@ def read_layers(path: Path) -> tuple[Layer, ...]:
         if not files:
             raise CurveError(f"{path} holds no layers (*{SUFFIX}); name a file of edits")
         return tuple(layer for file in files for layer in read_layers(file))
-    layers = parse_layers(read_text(path, limits.EDIT_BYTES, error=CurveError), path.name)
+    layers = parse_layers(read_text(path, limits.EDIT_BYTES, error=_unreadable), path.name)
     if not layers:
         raise CurveError(f"{path} is an empty list of layers; name another file of edits")
     return layers
@@ -54,11 +54,17 @@ def parse_layers(given: Any, where: str = "edit") -> tuple[Layer, ...]:
     CurveError
         One line: which edit, the value and the rule.
     """
-    tree = load_json(given, where, error=CurveError) if isinstance(given, str | bytes) else given
+    tree = given
+    if isinstance(given, str | bytes):
+        tree = load_json(given, where, error=_unreadable)
     trees = list(tree) if isinstance(tree, list | tuple) else [tree]
     if len(trees) > MOST_LAYERS:
         raise CurveError(f"{where} holds {len(trees)} layers; at most {MOST_LAYERS} are read")
     return tuple(one if isinstance(one, Layer) else _layer(one, where) for one in trees)
+
+
+def _unreadable(told: str) -> CurveError:
+    return CurveError(f"{told}; `deitalk diff` writes a file of edits")
 
 
 def _layer(tree: Any, where: str) -> Layer:

@@ -152,6 +152,8 @@ def decode_text(
         return codecs.getincrementaldecoder(encoding)(errors).decode(data, is_whole)
     except UnicodeDecodeError as problem:
         name = "UTF-8" if encoding == "utf-8-sig" else "UTF-16"
+        if name == "UTF-8" and 0 in data:
+            raise error(f"{where} is no text") from None
         raise error(
             f"{where} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
         ) from None
@@ -194,6 +196,8 @@ def load_json(data: bytes | str, where: object, *, error: ErrorClass = FormatErr
     if isinstance(data, bytes) and data.startswith((b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")):
         data = decode_text(data, where, error=error)
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    if 0 in raw:
+        raise error(f"{where} is no JSON: it is no text")
     depth = json_depth(raw)
     if depth > limits.NESTING:
         raise error(f"{where} nests {depth} levels; at most {limits.NESTING} are read")

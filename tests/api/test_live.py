@@ -23,14 +23,16 @@ from api.errors import Problem
 from api.guard import protocol
 from api.guard.keys import Places
 from api.live import route as live_route
-from api.live.messages import FRAME
+from api.live.messages import FRAME, Start, acting_of
 from api.live.stream import LiveStream
 from api.serving import server_config
 from api.settings import Settings
-from deitalk import LiveAnimator
+from deitalk import Acting, LiveAnimator
+from deitalk.errors import ConfigError
 from tests.api.conftest import KEYS, bearer, wav
 from tests.api.server import PATIENCE, free_port, wait_for
 from tests.api.test_queue import CALLER
+from tests.errors import one_line
 
 RATE = 16000
 
@@ -98,6 +100,20 @@ def test_wrong_messages_end_the_session_with_a_problem(server, messages, code):
         assert answer["code"] == code
         with pytest.raises(ConnectionClosed):
             session.recv(PATIENCE)
+
+
+@pytest.mark.parametrize(
+    ("before", "known"),
+    [
+        (None, {"emotion", "style", "seed", *Start.model_fields}),
+        (Acting(), {"emotion", "intensity", "rest", "look_at", "gain", "rules"}),
+    ],
+)
+def test_an_unknown_field_is_told_with_those_that_the_message_may_have(before, known):
+    with one_line(ConfigError, match="no field 'emotino'; known are ") as caught:
+        acting_of({"emotino": "sad"}, before)
+    told = {*str(caught.value).rpartition(" are ")[2].split(", ")}
+    assert told >= known and (before is None or told == known) and "words" not in told
 
 
 def test_wrong_change_is_answered_and_the_session_goes_on(server):

@@ -103,7 +103,7 @@ def _is(cue: Cue, role: str, cues: list[Cue], source: str) -> bool:
     """Whether a cue is of a role, which one of them must be."""
     speakers = dict.fromkeys(c.speaker for c in cues if c.speaker)
     if role.casefold() not in {speaker.casefold() for speaker in speakers}:
-        known = ", ".join(speakers) or "none"
+        known = ", ".join(speakers) or "none, which lines begin with: `ANNA: …` or `<v Anna>`"
         raise DataError(f"role {quoted(role)} is no speaker of {source}; there are: {known}")
     return cue.speaker.casefold() == role.casefold()
 

@@ -9,9 +9,10 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.hub import pinned
-from deitalk.config.load import load_model_config, parse_config, read_tree
+from deitalk.config.load import load_model_config, named, parse_config, read_tree
 from deitalk.config.rig_file import read_controls
 from deitalk.config.rules import RulesConfig, SharpenContacts
+from deitalk.config.section import NO_SECTION
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.clips import Clip
 from deitalk.emotions import EMOTIONS
@@ -26,6 +27,7 @@ from deitalk.training.tuning.carry import carry_matrix
 from deitalk.training.tuning.ridge import MANY
 from rig import ControlSet
 from rig.arrays import Bool, Float64
+from rig.errors import quoted
 
 INTENSITY_LOSS = {"contrast": 0.1, "classification": 0.1, "intensity": 20.0}
 """Weights of Eq. 8 where intensity is learnt: those of the paper, and of the base's training."""
@@ -54,8 +56,14 @@ def read_recipe(
     CheckpointError
         If there is no such base model.
     """
-    tree = read_tree(recipe, overrides) | {"kind": "finetune"}
-    tune = tree.setdefault("tune", {})
+    tree, where = read_tree(recipe, overrides), named(recipe, overrides)
+    if (kind := tree.setdefault("kind", "finetune")) != "finetune":
+        raise ConfigError(f"{where}: kind={quoted(kind)}: a recipe is of the kind finetune")
+    for name in ("tune", "model", "data"):
+        if not isinstance(section := tree.get(name) or {}, dict):
+            raise ConfigError(f"{where}: {name}={quoted(section)}: {NO_SECTION}")
+        tree[name] = dict(section)
+    tune = tree["tune"]
     if base is not None:
         tune["base"] = base
     tune["base"] = pinned(str(tune.get("base", "default")))
@@ -71,10 +79,10 @@ def read_recipe(
     network["lips"] = False  # but for what `with_base_parts` keeps
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
-    tree["model"] = network | (tree.get("model") or {})
+    tree["model"] = network | tree["model"]
     if tune.get("part") == "all":  # a frontend of minutes of one voice needs many voices
-        tree["data"] = {"augment": True} | (tree.get("data") or {})
-    return cast("FinetuneConfig", parse_config(tree))
+        tree["data"] = {"augment": True} | tree["data"]
+    return cast("FinetuneConfig", parse_config(tree, where))
 
 
 def with_styles(

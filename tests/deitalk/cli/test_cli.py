@@ -88,7 +88,7 @@ def test_animate_reads_stdin(tmp_path, model, speech):
     [
         ("2>&-", ["convert", "a.csv", "b.json"], 0, ""),
         ("<&- >&- 2>&-", ["convert", "a.csv", "b.json"], 0, ""),
-        ("<&-", ["animate", "-", "-o", "b.json"], 1, "deitalk: /dev/null is empty"),
+        ("<&-", ["animate", "-", "-o", "b.json"], 1, "deitalk: standard input is closed"),
         ("2>&-", ["convert", "absent.csv", "b.json"], 1, ""),
     ],
 )
@@ -100,6 +100,28 @@ def test_a_command_without_standard_streams_ends_as_with_them(
     done = subprocess.run(["sh", "-c", *line], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == code and done.stderr.startswith(said), done
     assert (tmp_path / "b.json").is_file() == (code == 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "is_told"),
+    [
+        (MemoryError(), True),
+        (ImportError("libtorch_cpu.so: failed to map segment from shared object"), True),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), True),
+        (RuntimeError("mat1 and mat2 shapes cannot be multiplied"), False),
+        (ImportError("cannot import name 'x'"), False),
+    ],
+)
+def test_the_end_of_memory_is_one_line_and_a_mistake_of_ours_is_none(monkeypatch, error, is_told):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("deitalk.cli.convert.reserve_file", fail)
+    if is_told:
+        assert "not enough memory" in refused("convert", "a.csv", "b.csv")
+    else:
+        with pytest.raises(type(error)):
+            deitalk("convert", "a.csv", "b.csv")
 
 
 def test_a_removed_working_folder_is_one_line(tmp_path):
@@ -121,11 +143,17 @@ def test_a_removed_working_folder_is_one_line(tmp_path):
         (["-o", "take.v2"], "a folder with a slash: take.v2/"),
         (["-o", ""], "the name of the output is empty"),
         (["-o", "curves.csv", "--preview"], "--preview goes with a take folder"),
+        (
+            ["--voice", "{speech}"],
+            "speech.wav is no JSON: it is no text; `deitalk data voice` writes",
+        ),
+        (["--edit", "{speech}"], "speech.wav is no text; `deitalk diff` writes"),
     ],
 )
 def test_animate_refuses_in_one_line(tmp_path, model, speech, options, expected):
     chosen = [] if "--model" in options else ["--model", model]
-    line = refused("animate", speech, *chosen, "-o", tmp_path / "take", *options)
+    given = [option.format(speech=speech) for option in options]
+    line = refused("animate", speech, *chosen, "-o", tmp_path / "take", *given)
     assert expected in line
     assert not (tmp_path / "take").exists()
 

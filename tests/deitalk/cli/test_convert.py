@@ -110,7 +110,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
         (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 1 to 300"),
-        (["{curves}", "out.csv", "--start", "9"], "no frame lies in seconds 9 of"),
+        (["{curves}", "out.csv", "--start", "9"], "no frame lies from 9 s on; the curves last"),
         (["{emoface}", "out.csv"], "source_fps"),
     ],
 )

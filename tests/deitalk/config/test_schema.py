@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
-from deitalk.config.curves import Config
+from deitalk.config.curves import Config, TrainConfig
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
 from deitalk.config.load import load_config, load_model_config, parse_config
-from deitalk.config.rules import RulesConfig
+from deitalk.config.rules import Gates, RulesConfig
 from deitalk.errors import ConfigError
 from deitalk.research.config import TrainingConfig, read_training
 from tests.errors import one_line
@@ -85,15 +86,21 @@ def test_embedded_weights_fit_their_recipe(recipe, model):
 
 
 @pytest.mark.parametrize(
-    ("tree", "key"),
+    ("tree", "key", "section"),
     [
-        ({"bogus": 1}, "bogus=1"),
-        ({"train": {"batchsize": 8}}, "train.batchsize=8"),
-        ({"model": {"frontend": {"kind": "mel", "mels": 80}}}, "model.frontend.mels=80"),
+        ({"bogus": 1}, "bogus=1", Config),
+        ({"train": {"batchsize": 8}}, "train.batchsize=8", TrainConfig),
+        ({"model": {"frontend": {"kind": "mel", "mels": 80}}}, "model.frontend.mels=80", MelConfig),
+        ({"rules": {"gates": {"open": 5}}}, "rules.gates.open=5", Gates),
     ],
 )
-def test_unknown_key_is_in_the_message(tree, key):
-    assert f"{key}: unknown key" in problem(tree)
+def test_an_unknown_key_is_told_with_those_of_its_section(tmp_path, tree, key, section):
+    told = f"{key}: unknown key; known are {', '.join(section.model_fields)}"
+    assert problem(tree) == f"configuration: {told}"
+    path = written(tmp_path, yaml.safe_dump(tree))
+    with one_line(ConfigError) as caught:
+        load_config(path)
+    assert str(caught.value) == f"{path}: {told}"
 
 
 @pytest.mark.parametrize(

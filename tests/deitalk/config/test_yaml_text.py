@@ -35,6 +35,12 @@ def test_plain_values_are_read():
     assert load_yaml("", "a") is None
 
 
+@pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3", "b:\n  - {a: 1, c: 2, 'a': 1}", "a:\na:"])
+def test_a_key_that_is_given_twice_is_told(text):
+    assert "key 'a' is given twice" in refused(text)
+    assert load_yaml(text.replace("a", "x", 1), "it")
+
+
 @pytest.mark.parametrize("levels", [2, 6, 9, 20])
 def test_alias_bomb_is_refused_before_it_is_built(levels):
     assert "alias '*a0' is not read" in refused(bomb(levels))

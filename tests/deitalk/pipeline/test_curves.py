@@ -410,6 +410,19 @@ def test_gain_scales_both_readings_around_rest(network):
         animate(recording(), model=network, gain={"jar": 2})
 
 
+def test_values_that_a_gain_moves_out_of_their_ranges_are_counted_and_told(network):
+    plain, scaled = (
+        animate(recording(), model=network, life="off", gain={"jaw": gain}) for gain in (1, -50)
+    )
+    controls, factors = network.controls, np.ones(len(network.controls))
+    factors[controls.subset("jaw")] = -50
+    wanted = controls.rest + factors * (plain.curves.values - controls.rest)
+    outside = ((wanted < controls.minimum - 1e-6) | (wanted > controls.maximum + 1e-6)).sum()
+    assert outside > 0 and scaled.clipped == plain.clipped + outside
+    assert f"gain: {outside} values" in scaled.recording.warnings[-1]
+    assert plain.recording.warnings == scaled.recording.warnings[:-1]
+
+
 def test_emotions_give_different_faces(default, voice):
     faces = {emotion: values(voice, emotion, model=default, life="off") for emotion in EMOTIONS}
     for i, a in enumerate(EMOTIONS):

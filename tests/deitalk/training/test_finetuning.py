@@ -1,6 +1,7 @@
 """Fine-tuning on seconds of data: what learns, what is held, other rigs, resuming, the report."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from functools import cache
@@ -100,6 +101,27 @@ def test_files_of_a_tuning_that_are_absent_leave_no_run(base, data, tmp_path, ke
     with one_line(DataError, match="absent"):
         finetune(recipe(base, f"tune.{key}={tmp_path / 'absent.csv'}"), data, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("kind: deitalk", "kind='deitalk': a recipe is of the kind finetune"),
+        ("tune: 5", "tune=5: must be a section"),
+        ("model: 5", "model=5: must be a section"),
+        ("data: [1]\ntune: {part: all}", "data=[1]: must be a section"),
+        ("train: 5", "train=5: must be a section"),
+        ("tune: {bas: 5}", "tune.bas=5: unknown key; known are base, part"),
+    ],
+)
+def test_a_wrong_recipe_is_one_line_that_names_it(base, tmp_path, text, told):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with one_line(ConfigError, match=re.escape(told)) as caught:
+        read_recipe(path, base=base)
+    assert str(caught.value).startswith(f"{path}: ")
+    path.write_text("tune:\ndata:\nmodel:")  # all lines below them are comments
+    assert read_recipe(path, base=base) == read_recipe(None, base=base)
 
 
 def test_mesh_models_are_no_base():

@@ -75,6 +75,8 @@ def test_text_is_read_in_every_encoding_with_a_mark(tmp_path, encoding):
 def test_text_rejects_bytes_that_are_no_text(tmp_path):
     (tmp_path / "a").write_bytes(b"caf\xe9")
     assert "no UTF-8 text (byte 3" in refused(read_text, tmp_path / "a", 99)
+    (tmp_path / "a").write_bytes(b"RIFF\xe9\0")  # of another program, which no encoding mends
+    assert refused(read_text, tmp_path / "a", 99).endswith("a is no text")
     (tmp_path / "a").write_bytes(b"\xff\xfea")
     assert "no UTF-16 text" in refused(read_text, tmp_path / "a", 99)
 
