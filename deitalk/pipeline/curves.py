@@ -62,7 +62,7 @@ from deitalk.postprocess.variants import (
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
-from rig.curves.edit import ClampReport, clamp, gain_factors
+from rig.curves.edit import gain_factors
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -381,8 +381,10 @@ class Unruled(NamedTuple):
     """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 44)]."""
     gates: Float32
     """Gates and motion, from `deitalk.postprocess.tracks.shown_columns` [shape=(T, 45)]."""
+    gain: Float32
+    """Factor of each control [shape=(C,)]."""
     ruled: bool = True
-    """False leaves the readings as they are, but for the ranges."""
+    """False leaves the readings as they are, but for gain and range."""
 
 
 class Measured(NamedTuple):
@@ -459,44 +461,18 @@ def _ruled(read: Sequence[Measured], model: str = "") -> list[Performance]:
         gates = shown_columns(
             each.prepared.speech.mouth, each.intensities.share, motion and motion.tracks
         )
-        ruled = each.prepared.acting.rules
-        clips.append(Unruled(each.neutral, each.shown, each.voice, gates, ruled))
+        given = each.prepared.gain, each.prepared.acting.rules
+        clips.append(Unruled(each.neutral, each.shown, each.voice, gates, *given))
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
     controls = read[0].prepared.network.controls
     outside = apply_rules(read[0].prepared.network.curve_pass(), clips)
-    finished = []
-    for each, motion, clip, count in zip(read, motions, clips, outside, strict=True):
-        clamped = _scale(controls, clip, each.prepared.gain)
+    for each, clip in zip(read, clips, strict=True):
         show_habits(clip.shown, clip.neutral, controls, each.habits)
-        finished.append(_performance(each, motion, clip, count, clamped, model))
-    return finished
-
-
-def _scale(controls: ControlSet, clip: Unruled, gain: Float32) -> ClampReport:
-    """Multiply the distance of both readings from rest by factors [shape=(C,)], in place.
-
-    Returns
-    -------
-    ClampReport
-        Values of the shown curves that were beyond their ranges then.
-    """
-    report = ClampReport()
-    if (gain == 1).all():
-        return report
-    for values in (clip.neutral, clip.shown):
-        scaled = controls.rest + (values - controls.rest) * gain
-        curves, report = clamp(RigCurves(scaled, controls.names), controls)
-        values[:] = curves.values
-    return report
+    return [_performance(*one, model) for one in zip(read, motions, clips, outside, strict=True)]
 
 
 def _performance(
-    read: Measured,
-    motion: Motion | None,
-    ruled: Unruled,
-    clipped: int,
-    clamped: ClampReport,
-    model: str,
+    read: Measured, motion: Motion | None, ruled: Unruled, clipped: int, model: str
 ) -> Performance:
     """What follows the rules: breaths, the takes beside, edits by hand."""
     prepared, intensities, words, moved = read.prepared, read.intensities, read.words, read.moved
@@ -505,7 +481,7 @@ def _performance(
     head = None if motion is None or not motion.head.any() else motion.head
     if moved is not None and rules.idle and moved.character.life.times(rules.idle).head > 0:
         key = moved.character.seeds.key("head")
-        draw_breaths(controls, ruled.neutral, ruled.shown, moved.voice, key, prepared.gain)
+        draw_breaths(controls, ruled.neutral, ruled.shown, moved.voice, key, ruled.gain)
     clock.lap("expression")
     join(controls, ruled.shown, head, acting)
     shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
@@ -513,8 +489,8 @@ def _performance(
     recording, with_edits = prepared.recording, None
     if words is not None and not words.fits:
         recording = recording.noted(words.line)
-    if clamped:
-        recording = recording.noted(f"gain: {clamped}")
+    if clipped and (ruled.gain != 1).any():
+        recording = recording.noted(f"gain: with it {clipped} values were clamped to their ranges")
     if acting.edit:
         given = (shown_curves, neutral_curves), controls, rules.keep_contacts
         with_edits = edited(acting.edit, *given, speech, words)
@@ -527,7 +503,7 @@ def _performance(
         intensities.saliency,
         intensities.predicted,
         recording,
-        clipped + clamped.n_values,
+        clipped,
         clock.laps,
         acting,
         model,
@@ -550,7 +526,7 @@ def apply_rules(rules: CurveRules, clips: Sequence[Unruled]) -> list[int]:
     outside, state = np.zeros(len(clips)), rules.first(len(clips))
     rest, size = rules.before[-1], clips[0].neutral.shape[1]  # a face at rest follows the last
     after = rest[:size], rest[size : 2 * size], rest[2 * size :], np.zeros(1, np.float32)
-    gain = np.ones((len(clips), size), np.float32)  # `_scale` says what it clamps
+    gain = np.stack([clip.gain for clip in clips])
     flags = np.array([clip.ruled for clip in clips], np.float32)
     gates = [np.pad(clip.gates, ((rules.ahead, 0), (0, 0))) for clip in clips]  # as they come out
     columns = [

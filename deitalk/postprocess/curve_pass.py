@@ -192,7 +192,8 @@ class CurvePass(nn.Module):
         curves, neutral : Tensor [shape=(B, T, C)]
             Finished, of the frames `ahead` before those that came in.
         outside : Tensor [shape=(B, T)]
-            Values of `curves` by over .01 outside of their ranges, before they were clamped.
+            Values of `curves` by over .01 outside of their ranges, before the gain or with it,
+            before they were clamped.
         state : Tensor
         """
         # Frames that come out, with what is around them.
@@ -247,11 +248,16 @@ class CurvePass(nn.Module):
             curves = self.play(curves, motion, mouth)
 
         # Ranges and gain.
-        acted = curves[:, :, SHOWN]
-        outside = (acted < self.minimum - OUTSIDE) | (acted > self.maximum + OUTSIDE)
+        outside = self._beyond(curves)
         curves = self._within(curves)
-        curves = self._within(self.rest + (curves - self.rest) * gain[:, None, None])
-        return curves[:, :, SHOWN], curves[:, :, NEUTRAL], outside.float().sum(dim=-1), state
+        curves = self.rest + (curves - self.rest) * gain[:, None, None]
+        outside = (outside | self._beyond(curves)).float().sum(dim=-1)
+        curves = self._within(curves)
+        return curves[:, :, SHOWN], curves[:, :, NEUTRAL], outside, state
+
+    def _beyond(self, curves: Tensor) -> Tensor:
+        acted = curves[:, :, SHOWN]
+        return (acted < self.minimum - OUTSIDE) | (acted > self.maximum + OUTSIDE)
 
     def _within(self, curves: Tensor) -> Tensor:
         return torch.minimum(torch.maximum(curves, self.minimum), self.maximum)

@@ -417,9 +417,9 @@ def test_values_that_a_gain_moves_out_of_their_ranges_are_counted_and_told(netwo
     controls, factors = network.controls, np.ones(len(network.controls))
     factors[controls.subset("jaw")] = -50
     wanted = controls.rest + factors * (plain.curves.values - controls.rest)
-    outside = ((wanted < controls.minimum - 1e-6) | (wanted > controls.maximum + 1e-6)).sum()
-    assert outside > 0 and scaled.clipped == plain.clipped + outside
-    assert f"gain: {outside} values" in scaled.recording.warnings[-1]
+    outside = ((wanted < controls.minimum - 0.01) | (wanted > controls.maximum + 0.01)).sum()
+    assert outside > 0 and 0 <= plain.clipped + outside - scaled.clipped <= plain.clipped
+    assert f"gain: with it {scaled.clipped} values" in scaled.recording.warnings[-1]
     assert plain.recording.warnings == scaled.recording.warnings[:-1]
 
 

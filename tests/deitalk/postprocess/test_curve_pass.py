@@ -134,9 +134,9 @@ def test_a_whole_recording_in_blocks_is_that_of_one_block(n_frames, monkeypatch)
     found = []
     for block in (1000, 1, 4, 64):
         monkeypatch.setattr(whole_pass, "BLOCK_FRAMES", block)
-        neutral, emotional, voice, shown, *_ = (part[0] for part in inputs(1, n_frames))
+        neutral, emotional, voice, shown, gain, _ = (part[0] for part in inputs(1, n_frames))
         rules = TorchPass(CurvePass(CONTROLS))
-        clip = whole_pass.Unruled(neutral, emotional, voice, shown)
+        clip = whole_pass.Unruled(neutral, emotional, voice, shown, gain)
         (outside,) = whole_pass.apply_rules(rules, [clip])
         found.append((emotional, neutral, outside))
     for curves, plain, outside in found[1:]:
@@ -151,7 +151,7 @@ def test_recordings_of_any_lengths_pass_the_rules_side_by_side_as_each_alone(mon
 
     def clips():
         sizes = enumerate((40, 1, 16, 23, 6))
-        given = [[part[0] for part in inputs(1, size, seed=seed)[:4]] for seed, size in sizes]
+        given = [[part[0] for part in inputs(1, size, seed=seed)[:5]] for seed, size in sizes]
         return [whole_pass.Unruled(*arrays, ruled=k != 3) for k, arrays in enumerate(given)]
 
     together, alone = clips(), clips()
@@ -173,9 +173,9 @@ def test_motion_and_gates_meet_the_frame_that_comes_out():
     shown = np.zeros((n_frames, N_SHOWN), np.float32)
     shown[:, :2] = 1
     shown[20, 0], shown[31, 2] = 0, 1
-    curves, neutral = speech.copy(), speech.copy()
+    curves, neutral, gain = speech.copy(), speech.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
-    whole_pass.apply_rules(rules, [whole_pass.Unruled(neutral, curves, voice, shown)])
+    whole_pass.apply_rules(rules, [whole_pass.Unruled(neutral, curves, voice, shown, gain)])
     for reading in (curves, neutral):
         assert np.flatnonzero(reading[:, jaw] == 0).tolist() == [20]
         assert np.flatnonzero(reading[:, lid] > 0.5).tolist() == [31]
@@ -200,10 +200,10 @@ def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=
     said = scale * ones, ones, held * ones, phones, weights, free, free, variants, ones, ones
     voice = VoiceTracks(*said).columns()
     gate = ones if mouth is None else mouth
-    curves, plain = emotional.copy(), neutral.copy()
+    curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
     shown = shown_columns(gate, gate, None)
-    whole_pass.apply_rules(rules, [whole_pass.Unruled(plain, curves, voice, shown)])
+    whole_pass.apply_rules(rules, [whole_pass.Unruled(plain, curves, voice, shown, gain)])
     return curves, plain
 
 
