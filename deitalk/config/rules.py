@@ -29,7 +29,7 @@ class VoiceIntensity(Section):
     """State of feeling per decibel of the voice's strength, in the logarithm of odds."""
     middle: float = Field(default=0.5, ge=-100, le=100)
     """Strength whose intensity is half of the most, dB above the usual."""
-    display: Slope = 0.35
+    display: Slope = 0.3
     """Display of the changes within a phrase, per standard deviation of liveliness."""
 
 
