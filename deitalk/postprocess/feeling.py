@@ -68,9 +68,9 @@ MOST_DISPLAY = 3.0
 NAMED = (1.6, -2.0, 1.5)
 NAMED_AS = {"neutral": (MOST, 0.0, 1.0), "angry": (MOST, 0.0, 1.3), "sad": (1.6, 0.0, 1.4)}
 """Intensity that the strongest voice approaches in an emotion that is named, the decibels that its
-voice counts more, and the factor of its state and display; and those of some labels. People who
-looked at takes said of smaller factors that a feeling has one level and that the stronger phrase is
-hardly seen to be. In sadness people are quieter."""
+voice counts more, and the factor of its state and display; and those of some labels. With smaller
+factors a feeling seems to have one level, and the stronger phrase is hardly seen to be. In sadness
+people are quieter."""
 NAMED_MOST, NAMED_DB, NAMED_SLOPE = np.array([NAMED_AS.get(label, NAMED) for label in LABELS]).T
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""

@@ -58,17 +58,13 @@ class ClampReport:
     def __bool__(self) -> bool:
         return bool(self.clipped)
 
-    @property
-    def n_values(self) -> int:
-        """Number of values that were clamped."""
-        return sum(item.n_frames for item in self.clipped)
-
     def __str__(self) -> str:
         if not self.clipped:
             return "all values are within their ranges"
         worst = max(self.clipped, key=lambda item: item.worst_excess)
+        frames = sum(item.n_frames for item in self.clipped)
         return (
-            f"{self.n_values} values of {len(self.clipped)} controls were clamped to their ranges; "
+            f"{frames} values of {len(self.clipped)} controls were clamped to their ranges; "
             f"worst {worst.name} by {worst.worst_excess:.4g}"
         )
 
