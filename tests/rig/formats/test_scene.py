@@ -93,7 +93,7 @@ def test_glb_holds_the_posed_head_by_an_independent_reader(glb_path, curves):
             shown += weights[:, k, None, None] * delta
     expected = posed(curves) / 100
     error = np.linalg.norm(shown - expected, axis=-1)
-    assert error[[0, 2]].max() < 1.8e-3  # metres; morph targets turn a jaw by straight lines
+    assert error[[0, 2]].max() < 2.1e-3  # metres; morph targets turn a jaw by straight lines
     assert np.linalg.norm(expected[2] - expected[0], axis=-1).max() > 0.02
     colours = accessor(glb, blob, primitive.attributes.COLOR_0)
     assert colours.min() >= 0 and colours.max() <= 1 and np.ptp(colours) > 0.3
@@ -235,7 +235,7 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     )  # fmt: skip
     assert Gf
     error = np.linalg.norm(np.asarray(points) - posed(curves)[2], axis=-1)
-    assert error.max() < 0.18  # cm
+    assert error.max() < 0.21  # cm
 
 
 @pytest.mark.parametrize(
