@@ -553,7 +553,7 @@ def test_performance_is_dubbed_as_by_the_command_line(
         dubbed = curve(tab)
         brow = face.curves["CTRL_L_brow_raiseIn.ty"]
         assert np.abs(dubbed - own).max() > 0.05
-        assert np.isin(dubbed[:30].astype(np.float32).round(3), brow.round(3)).mean() > 0.2
+        assert abs(dubbed[0] - brow[0]) < 0.01 < abs(own[0] - brow[0]), "as the performance begins"
         tab.get_by_role("slider", name="Gain of brow").fill("0.5")
         tab.evaluate("deitalk.page.workbench.layers.choose('CTRL_L_nose.ty')")
         seek(tab, 1.0)
