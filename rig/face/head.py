@@ -446,10 +446,14 @@ class Head:
         frames = np.atleast_2d(table)
         out = np.empty((len(frames), *self.straight.shape), np.float32)
         for k in range(0, len(frames), BATCH):
-            self._pose(frames[k : k + BATCH], out[k : k + BATCH])
+            self.pose_into(frames[k : k + BATCH], out[k : k + BATCH])
         return out[0] if table.ndim == 1 else out
 
-    def _pose(self, frames: Float64, out: Float32, steps: tuple[str, ...] = STEPS) -> None:
+    def pose_into(self, frames: Float64, out: Float32, steps: tuple[str, ...] = STEPS) -> None:
+        """Write vertices (T, V, 3) of control values (T, 185) into `out`, by some steps of `STEPS`.
+
+        A step that is left out must move nothing in these poses (`rig.face.moves`).
+        """
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)

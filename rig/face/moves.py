@@ -41,7 +41,7 @@ def moves(head: Head, values: Float64) -> list[tuple[Int64, Float32]]:
     for steps, frames in alike.items():
         for start in range(0, len(frames), FEW):
             few = frames[start : start + FEW]
-            head._pose(values[few], out[: len(few)], steps)
+            head.pose_into(values[few], out[: len(few)], steps)
             for t, pose in zip(few, out, strict=False):
                 ids = np.flatnonzero(moved[t])
                 found[t] = ids, np.take(pose, ids, axis=0) - np.take(rest, ids, axis=0)

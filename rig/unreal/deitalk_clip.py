@@ -301,7 +301,7 @@ def fit_segment(values: list[float], first: int, last: int) -> tuple[float, floa
 
 
 KEYS = (key_frames, curve_keys, split_curve, fit_segment, cubic_basis)
-"""Functions that scripts for other programs have as text."""
+"""Functions that scripts for other programs have as text, without what follows."""
 cubic_basis = cache(cubic_basis)
 
 

@@ -88,9 +88,8 @@ class Stages(ControlGroups):
         """Motion tracks on the face that is shown, and on the neutral one."""
         gate = np.full(len(curves), spoken, np.float32)
         columns = torch.from_numpy(shown_columns(gate, gate, motion))[None]
-        found = self.rules.play(both(neutral, curves), columns[..., 2:], columns[..., :1])[
-            0
-        ].numpy()
+        mouth, moved = columns[..., :1], columns[..., 2:]
+        found = self.rules.play(both(neutral, curves), moved, mouth)[0].numpy()
         neutral[:], curves[:] = found[:, 0], found[:, 1]
 
     def windows(self, rows):

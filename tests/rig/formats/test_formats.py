@@ -356,14 +356,16 @@ def test_own_control_sets_survive_every_format(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [f.suffixes[0] for f in TABLE if f.write and f.name != "fbx"])
+@pytest.mark.parametrize("suffix", [f.suffixes[0] for f in TABLE if f.write])
 def test_an_hour_is_written_in_seconds(tmp_path, rng, suffix):
     import time
 
+    if suffix == ".fbx":
+        pytest.importorskip("bpy", reason="needs bpy")
     values = rng.uniform(CONTROLS.minimum, CONTROLS.maximum, (108_000, 185)).astype(np.float32)
     curves = RigCurves(values, CONTROLS.names)
     start = time.process_time()
     write_curves(tmp_path / f"c{suffix}", curves)
     fitted = suffix in (".anim", ".vrma")  # cubic keys; two sets of an avatar's shapes
-    assert time.process_time() - start <= (40 if fitted else 15)
+    assert time.process_time() - start <= (40 if fitted else 10)
     assert (tmp_path / f"c{suffix}").stat().st_size > 108_000  # a byte a frame at least
