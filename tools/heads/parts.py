@@ -56,7 +56,7 @@ class Person:
     def __init__(self, base: Base, shapes: Shapes, look: dict) -> None:
         self.base, self.shapes, self.look = base, shapes, look
         points = base.person(look["mix"], look["details"])
-        self.state = shapes.rest_of(points)
+        self.state = self._with_lids(shapes.rest_of(points), look.get("lids", (0, 0)))
         self.skin = self.state[: base.n_skin]
         self.normals = normals(self.skin, base.skin_faces)
         self.points = CM * points - base.origin(points)
@@ -69,6 +69,21 @@ class Person:
         self.size = 0.4 * eyes[0] / eyes[1] + 0.6 * corners[0] / corners[1]
         self.eyes = [eye_of(self.state, base, s) for s in "lr"]
         self.parts = self._parts()
+
+    def _with_lids(self, state, risen):
+        """A state whose upper and lower lids are so much higher, cm; they turn about the eyes."""
+        out = state.copy()
+        for s in "LR":
+            center, radius = eye_of(state, self.base, s.lower())
+            for unit, high in zip((f"eyeWide_{s}", f"lidD_{s}"), risen, strict=True):
+                delta = self.shapes.units[unit]
+                out += high / delta[:, 1].max() * delta
+            near = np.linalg.norm(state - center, axis=1)
+            share = np.clip(3 - 2 * near / radius, 0, 1)[:, None]
+            off = out - center
+            turned = off * (near / np.maximum(np.linalg.norm(off, axis=1), 1e-6))[:, None]
+            out += share * (center + turned - out)
+        return out
 
     def corner(self, sign):
         """Point of the skin at the corner of the mouth, of the left (1) or the right (-1)."""
