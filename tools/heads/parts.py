@@ -21,6 +21,8 @@ BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
 _BEHIND = {"upper": 0.35, "lower": 0.62}
 """How far the front of each row stands behind the middle of the line where the lips meet, cm."""
+LASHES_FROM = 2.15
+"""Least distance of lashes from the middle of the average face, cm: none at the inner corners."""
 _EDGE = {"upper": -0.28, "lower": 0.25}
 """Height of the incisors' edges over that line, cm, the teeth together."""
 
@@ -94,7 +96,7 @@ class Person:
         return state[self.base.at(f"helper-{s}-eye")].mean(0)
 
     def _parts(self):
-        found = {}
+        base, found = self.base, {}
         for name, (center, radius), sign in zip(
             ("eye_L", "eye_R"), self.eyes, (1, -1), strict=True
         ):
@@ -111,9 +113,10 @@ class Person:
         self._lift(brows)
         self._follow_lids(lashes)
         self._follow_columns(brows)
-        for name, both in (("lash", lashes), ("brow", brows)):
-            x = both.points[both.drawn[both.faces]].mean(1)[:, 0]
-            for s, of_side in (("L", x > 0), ("R", x <= 0)):
+        for name, both, least in (("lash", lashes, LASHES_FROM), ("brow", brows, 0)):
+            average = both.proxy.fitted(CM * base.average)  # the same triangles of all people
+            x = average[both.drawn[both.faces]].mean(1)[:, 0]
+            for s, of_side in (("L", x > least), ("R", x <= -least)):
                 found[f"{name}_{s}"] = both.chosen(of_side)
         for s in "LR":
             self._shorten(found[f"lash_{s}"])
@@ -220,7 +223,7 @@ class Person:
             at = np.linspace(x[own, 0].min(), x[own, 0].max(), count)
             line = np.stack([at, *(fit(at) for fit in middle)], 1)
             ids = front[cKDTree(skin[front]).query(line)[1]]
-            away = (skin[ids, 0] - x[own, :1]) / 0.45
+            away = (skin[ids, 0] - x[own, :1]) / 0.6
             brows.near[own] = ids
             brows.weight[own] = np.exp(-(away**2)) + 1e-9
         brows.weight /= brows.weight.sum(1, keepdims=True)

@@ -20,7 +20,7 @@ from rig.files.reading import rows_of
 from tools.heads.base import CM, Base, eye_of
 
 SHARE = {
-    "brow_lateral": 0.7, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
+    "brow_lateral": 1.1, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
     "mouth_purse": 0.58, "mouth_funnel": 0.55, "upperLipRaise": 0.3, "lowerLipDepress": 0.5,
     "brow_down": 0.4, "brow_raiseIn": 0.5, "brow_raiseOut": 0.4, "eye_blink": 0, "blink_half": 0,
     "eye_eyelidU": 0, "squintInner": 0.4, "_nose.ty": 0.6, "cornerDepress": 0.4, "eye_eyelidD": 0.3, "eye.t": 0,
@@ -40,7 +40,7 @@ MIX = {
     "brow_down.ty": ("browDown_@:.7", ""),
     "brow_raiseIn.ty": ("browInnerUp_@:1.3", ""),
     "brow_raiseOut.ty": ("browOuterUp_@:1", ""),
-    "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:1"),
+    "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:.85"),
     "eye_eyelidU.ty": ("lidU_@:.4", "eyeWide_@:.8"),
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
@@ -63,7 +63,7 @@ DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
 _BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
-         ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
+         ("raiseOut", 3.0, 5.5, 0.30))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
 TEETH_AWAY = (0, -0.65, -0.25)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
