@@ -97,7 +97,7 @@ PEOPLE = {
         ],
     },
     "Kaya": {
-        "lids": (-0.05, 0.0), "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
+        "lids": (-0.08, 0.0), "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
         "details": {
                     "eyebrows/eyebrows-trans-up": 0.35, "eyebrows/eyebrows-angle-up": 0.6},
         "skin": "young_asian_female/textures/young_lightskinned_female_diffuse3.png",

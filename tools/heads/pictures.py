@@ -172,9 +172,9 @@ def skin(base, person):
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * cloud(place, w, s) for a, w, s in
-                 ((0.018, 0.07, 2), (0.008, 0.2, 3)))  # fmt: skip
+                 ((0.018, 0.07, 2), (0.010, 0.2, 3), (0.010, 0.45, 11)))  # fmt: skip
     blood = sum(a * cloud(place, w, s) for a, w, s in
-                ((0.010, 0.06, 5), (0.008, 0.12, 6), (0.008, 2.0, 10)))  # fmt: skip
+                ((0.010, 0.06, 5), (0.010, 0.12, 6), (0.022, 0.32, 8), (0.020, 0.8, 9), (0.008, 2.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))

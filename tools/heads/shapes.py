@@ -62,8 +62,8 @@ LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
-_BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
-         ("raiseOut", 3.0, 5.5, 0.30))  # fmt: skip
+_BROW = (("raiseIn", 1.1, 5.1, 0.27), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
+         ("raiseOut", 3.0, 5.5, 0.34))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
 TEETH_AWAY = (0, -0.65, -0.25)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
