@@ -27,7 +27,6 @@ def sites():
         "lower lid": eye, "wing": wing, "corner": corner, "chin": mark["chin"],
         "apple": [eye[X] + 0.3, wing[Y] + 0.4, 8], "fold": [wing[X] + 0.6, wing[Y] - 0.6, 8.5],
         "cheek": [corner[X] + 1.4, corner[Y] + 1.4, 7],
-        "pouch": [eye[X], eye[Y] - 0.4, 8],
         "chin groove": [0, 0.5 * (mark["lower_lip_bottom"] + mark["chin"])[Y] + 0.3, 9],
     }  # fmt: skip
     front = np.where(skin[:, Z] > 4, 0, 99)
@@ -43,8 +42,7 @@ def sites():
         ("*mouth_cornerPull.ty", "apple", Y, 0.3),  # zygomaticus major lifts the cheek
         ("*mouth_cornerPull.ty", "apple", Z, 0.2),  # which becomes round
         ("*mouth_cornerPull.ty", "lower lid", Y, 0.05),
-        ("*eye_cheekRaise.ty", "pouch", Z, 0.15),  # orbicularis oculi swells below the lid
-        ("*eye_cheekRaise.ty", "apple", Y, 0.4),
+        ("*eye_cheekRaise.ty", "apple", Y, 0.4),  # orbicularis oculi
         ("*mouth_cornerPull.ty", "corner", Z, -0.3),  # the mouth wraps the teeth
         ("*nose.ty", "wing", Y, 0.4),  # levator labii alaeque nasi
         ("*nose.ty", "apple", Y, 0.2),
