@@ -36,6 +36,8 @@ _CREASE_TILT, _CREASE_RED = F(shading.CREASE_TILT), F(shading.CREASE_RED)
 _IRIS = F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
+_WINDOW_BEGIN, _WINDOW_END = (F(edge) for edge in shading.WINDOW_EDGE)
+_WINDOW_LIGHT = F(shading.WINDOW)
 _PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
 _PORE_GLOSS, _SHEEN, _STRANDS = F(shading.PORE_GLOSS), F(shading.SHEEN), F(shading.STRANDS)
 _TINT, _RIM, _HAIR_RIM = F(shading.TINT), F(shading.RIM), F(shading.HAIR_RIM)
@@ -612,9 +614,10 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
     x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
     turn = -_WINDOW_TURN * vx
     cx, cy, cz = _unit(_CATCH[0] + turn, _CATCH[1], _CATCH[2])
-    glow = _limited((x * cx + y * cy + z * cz - F(0.974)) / F(0.02))
+    edge = x * cx + y * cy + z * cz - _WINDOW_BEGIN
+    glow = _limited(edge / (_WINDOW_END - _WINDOW_BEGIN))
     glow = glow * glow * (F(3) - F(2) * glow)
-    return F(0.95) * glow * glow + F(0.03) * _limited(y + F(0.3))
+    return _WINDOW_LIGHT * glow * glow + F(0.03) * _limited(y + F(0.3))
 
 
 @kernel

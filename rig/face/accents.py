@@ -14,7 +14,7 @@ from rig.face.mesh import smoothstep
 REGIONS = ("forehead", "temple", "glabella", "eye", "nasolabial")
 LEAST = (0.02, 0.02, 0.015, 0.04, 0.10)
 """Depth of each region at rest, the same on both sides."""
-SHADOW_RADIANS, SHADOW = 0.28, 0.76
+SHADOW_RADIANS, SHADOW = 0.32, 0.82
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 CORNER_BEGIN, CORNER = 0.45, 0.6
 """Where the shadow of an eye's corners begins, of the way to them, and its depth there."""

@@ -21,6 +21,8 @@ BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
 _BEHIND = {"upper": 0.35, "lower": 0.62}
 """How far the front of each row stands behind the middle of the line where the lips meet, cm."""
+LASHES_FROM = 2.15
+"""Least distance of lashes from the middle of the average face, cm: none at the inner corners."""
 _EDGE = {"upper": -0.28, "lower": 0.25}
 """Height of the incisors' edges over that line, cm, the teeth together."""
 
@@ -56,7 +58,7 @@ class Person:
     def __init__(self, base: Base, shapes: Shapes, look: dict) -> None:
         self.base, self.shapes, self.look = base, shapes, look
         points = base.person(look["mix"], look["details"])
-        self.state = shapes.rest_of(points)
+        self.state = self._with_lids(shapes.rest_of(points), look.get("lids", (0, 0)))
         self.skin = self.state[: base.n_skin]
         self.normals = normals(self.skin, base.skin_faces)
         self.points = CM * points - base.origin(points)
@@ -70,6 +72,21 @@ class Person:
         self.eyes = [eye_of(self.state, base, s) for s in "lr"]
         self.parts = self._parts()
 
+    def _with_lids(self, state, risen):
+        """A state whose upper and lower lids are so much higher, cm; they turn about the eyes."""
+        out = state.copy()
+        for s in "LR":
+            center, radius = eye_of(state, self.base, s.lower())
+            for unit, high in zip((f"eyeWide_{s}", f"lidD_{s}"), risen, strict=True):
+                delta = self.shapes.units[unit]
+                out += high / delta[:, 1].max() * delta
+            near = np.linalg.norm(state - center, axis=1)
+            share = np.clip(3 - 2 * near / radius, 0, 1)[:, None]
+            off = out - center
+            turned = off * (near / np.maximum(np.linalg.norm(off, axis=1), 1e-6))[:, None]
+            out += share * (center + turned - out)
+        return out
+
     def corner(self, sign):
         """Point of the skin at the corner of the mouth, of the left (1) or the right (-1)."""
         x = self.shapes.rest[: self.base.n_skin]
@@ -79,7 +96,7 @@ class Person:
         return state[self.base.at(f"helper-{s}-eye")].mean(0)
 
     def _parts(self):
-        found = {}
+        base, found = self.base, {}
         for name, (center, radius), sign in zip(
             ("eye_L", "eye_R"), self.eyes, (1, -1), strict=True
         ):
@@ -96,9 +113,10 @@ class Person:
         self._lift(brows)
         self._follow_lids(lashes)
         self._follow_columns(brows)
-        for name, both in (("lash", lashes), ("brow", brows)):
-            x = both.points[both.drawn[both.faces]].mean(1)[:, 0]
-            for s, of_side in (("L", x > 0), ("R", x <= 0)):
+        for name, both, least in (("lash", lashes, LASHES_FROM), ("brow", brows, 0)):
+            average = both.proxy.fitted(CM * base.average)  # the same triangles of all people
+            x = average[both.drawn[both.faces]].mean(1)[:, 0]
+            for s, of_side in (("L", x > least), ("R", x <= -least)):
                 found[f"{name}_{s}"] = both.chosen(of_side)
         for s in "LR":
             self._shorten(found[f"lash_{s}"])
@@ -205,7 +223,7 @@ class Person:
             at = np.linspace(x[own, 0].min(), x[own, 0].max(), count)
             line = np.stack([at, *(fit(at) for fit in middle)], 1)
             ids = front[cKDTree(skin[front]).query(line)[1]]
-            away = (skin[ids, 0] - x[own, :1]) / 0.45
+            away = (skin[ids, 0] - x[own, :1]) / 0.6
             brows.near[own] = ids
             brows.weight[own] = np.exp(-(away**2)) + 1e-9
         brows.weight /= brows.weight.sum(1, keepdims=True)

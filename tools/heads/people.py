@@ -19,7 +19,7 @@ Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``
 noise and ``flesh`` the colour of the corners of the eyes; ``gain`` is a power of its colours (of all, or of red,
 green and blue) and ``oil`` what its gloss has more; ``lip`` is a factor on the picture's mean colour
 of lips, ``enamel``, ``gum`` and ``mucosa`` are colours in the mouth (0 to 1). ``brow_hairs`` are how dense the hairs of
-a brow and the soft ground below them are. ``shades`` are the darkest and lightest strands,
+a brow and the soft ground below them are. ``lids`` is how much higher the upper and the lower lid are than the package's, cm. ``shades`` are the darkest and lightest strands,
 ``lash_length`` the length of lashes, for 1 of the package's.
 """
 
@@ -27,7 +27,7 @@ _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
 
 PEOPLE = {
     "Ada": {
-        "mix": [("caucasian", "female", "young", 0.85), ("asian", "female", "young", 0.15)],
+        "lids": (-0.04, 0.04), "mix": [("caucasian", "female", "young", 0.85), ("asian", "female", "young", 0.15)],
         "details": {**_SOFT, "eyebrows/eyebrows-angle-up": 0.45, "eyebrows/eyebrows-trans-up": 0.35,
                     "mouth/mouth-angles-up": 0.25},
         "skin": "young_caucasian_female/textures/young_lightskinned_female_diffuse2.png",
@@ -56,7 +56,7 @@ PEOPLE = {
         ],
     },
     "Bruno": {
-        "mix": [("caucasian", "male", "young", 1)],
+        "lids": (0.15, 0.13), "mix": [("caucasian", "male", "young", 1)],
         "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.55},
         "skin": "young_caucasian_male/textures/young_lightskinned_male_diffuse.png",
         "shine": 0.36, "hair_colour": (54, 43, 35),
@@ -76,14 +76,14 @@ PEOPLE = {
         ],
     },
     "Chidi": {
-        "mix": [("african", "male", "young", 0.8), ("caucasian", "male", "young", 0.2)],
+        "lids": (0.15, 0.13), "mix": [("african", "male", "young", 0.8), ("caucasian", "male", "young", 0.2)],
         "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.6,
                     "mouth/mouth-lowerlip-volume-decr": 0.7, "mouth/mouth-upperlip-volume-decr": 0.6,
                     "mouth/mouth-lowerlip-height-decr": 0.45, "mouth/mouth-upperlip-height-decr": 0.3},
         "skin": "young_african_male/textures/young_darkskinned_male_diffuse.png",
         "shine": 0.2, "hair_colour": (30, 26, 23),
-        "brow": "008", "brow_tilt": -0.06, "brow_hairs": (1.4, 0.6), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
-        "shirt_colour": (118, 74, 70), "iris": (61, 43, 32), "lip": (0.90, 0.76, 0.72), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.70, 0.65, 0.595),
+        "brow": "008", "brow_tilt": -0.13, "brow_hairs": (1.4, 0.6), "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
+        "shirt_colour": (118, 74, 70), "iris": (61, 43, 32), "lip": (0.90, 0.76, 0.72), "enamel": (0.85, 0.80, 0.73), "gum": (0.62, 0.39, 0.37), "mucosa": (0.58, 0.33, 0.31), "white": (0.655, 0.60, 0.54),
         "drawing": 0.55, "mottle": 0.75, "gain": (0.82, 0.82, 0.845), "saturation": 1.08, "flush": 0.15, "oil": 0.05, "freckles": 0.1, "flesh": (0.60, 0.49, 0.44), "creases": 0.9,
         "lashes": 0.65, "lash_length": 0.5,
         "style": "coils", "root_colour": (32, 24, 19), "ends": 0.75, "line": 0.0, "burns": 0.0, "beard": 0.42, "sweep": -0.1, "root": 0.9, "hairs": 7, "thick": (0.7, 1.1), "locks": 2, "gather": 0.0,
@@ -97,7 +97,7 @@ PEOPLE = {
         ],
     },
     "Kaya": {
-        "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
+        "lids": (-0.08, 0.0), "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
         "details": {
                     "eyebrows/eyebrows-trans-up": 0.35, "eyebrows/eyebrows-angle-up": 0.6},
         "skin": "young_asian_female/textures/young_lightskinned_female_diffuse3.png",

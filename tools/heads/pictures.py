@@ -172,9 +172,9 @@ def skin(base, person):
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * cloud(place, w, s) for a, w, s in
-                 ((0.018, 0.07, 2), (0.008, 0.2, 3)))  # fmt: skip
+                 ((0.018, 0.07, 2), (0.010, 0.2, 3), (0.010, 0.45, 11)))  # fmt: skip
     blood = sum(a * cloud(place, w, s) for a, w, s in
-                ((0.010, 0.06, 5), (0.008, 0.12, 6), (0.008, 2.0, 10)))  # fmt: skip
+                ((0.010, 0.06, 5), (0.010, 0.12, 6), (0.022, 0.32, 8), (0.020, 0.8, 9), (0.008, 2.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
@@ -317,7 +317,7 @@ def paint_beard(picture, base, person):
     picture[:, :width, :3] = np.round(255 * (skin * (1 - share) + dark * share))
 
 
-LID_SHADOW = 0.16
+LID_SHADOW = 0.20
 """How much darker the white is below the upper lid than in the middle."""
 
 
@@ -331,28 +331,35 @@ def _eye(look, side=512):
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
     corner = smooth((share - 1.15) / 1.1)[..., None]
-    white = np.array(look.get("white", (0.81, 0.762, 0.715))) * (1 - corner * [0.26, 0.38, 0.41])
+    white = np.array(look.get("white", (0.80, 0.742, 0.692))) * (1 - corner * [0.26, 0.38, 0.41])
     white = white * (1 - (0.1 + 0.35 * corner) * veins[..., None] * [0.2, 1, 1])
     white = white * (1 - LID_SHADOW * smooth(-0.1 - 1.6 * y)[..., None] * [0.8, 1.0, 1.1])
     spots = gaussian_filter(np.random.default_rng(4).normal(size=(side, side)), 12)
     white = white * (1 + 0.035 * (spots / spots.std())[..., None] * [0.2, 1, 1.3])
     rng = np.random.default_rng(3)
-    rays = gaussian_filter(rng.normal(size=(64, 2048)), (9, 3), mode="wrap")
-    fine = gaussian_filter(rng.normal(size=(64, 2048)), (6, 1.2), mode="wrap")
-    rays = rays / rays.std() + 0.8 * fine / fine.std()
-    at = [np.clip(share, 0, 1) * 63, (turn / (2 * np.pi) % 1) * 2047]
-    fibres = map_coordinates(rays, at, order=1, mode="wrap")
-    iris = np.array(look["iris"]) / 255
-    inner = iris * [1.34, 1.15, 0.87]  # light from above gathers in the lower half
+
+    def drawn(along, across):  # unit noise of (share, turn), smooth over so much of both
+        field = gaussian_filter(rng.normal(size=(64, 2048)), (along, across), mode="wrap")
+        at = [np.clip(share, 0, 1) * 63, (bent / (2 * np.pi) % 1) * 2047]
+        return map_coordinates(field / field.std(), at, order=1, mode="wrap")
+
+    bent = turn
+    bent = turn + 0.05 * drawn(6, 30)  # no fibre is straight
+    fibres = drawn(10, 5) + 0.7 * drawn(5, 1.6) - 1.1 * np.clip(drawn(5, 22) - 0.8, 0, 1.5)
+    iris = np.array(look["iris"]) / 255 * (1 + 0.07 * drawn(30, 90))[..., None]
+    inner = iris * [1.34, 1.15, 0.87]
     depth = 0.95 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
-    blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
-    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.17 * fibres)[..., None]
-    colour = colour * depth[..., None]
-    ring = smooth((share - 0.62) / 0.34)[..., None]
-    colour = colour * (1 - 0.66 * ring)
+    zone = share + 0.05 * drawn(20, 14)  # around the pupil, to a ragged collarette
+    blend = np.clip((zone - 0.48) / 0.2, 0, 1)[..., None]
+    collar = 0.16 * np.exp(-(((zone - 0.55) / 0.07) ** 2))
+    colour = inner * (1 - blend) + iris * blend
+    colour = colour * (1 + collar + 0.15 * fibres)[..., None]
+    colour = colour * depth[..., None]  # light from above gathers in the lower half
+    ring = smooth((share + 0.05 * drawn(30, 60) - 0.70) / 0.32) * (0.50 + 0.08 * drawn(30, 60))
+    colour = colour * (1 - ring[..., None])
     pupil = np.clip((share - 0.31) / 0.07, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
-    edge = smooth((share - 0.87) / 0.30)[..., None]
+    edge = smooth((share - 0.84) / 0.34)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
 
 

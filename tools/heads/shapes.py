@@ -20,7 +20,7 @@ from rig.files.reading import rows_of
 from tools.heads.base import CM, Base, eye_of
 
 SHARE = {
-    "brow_lateral": 0.7, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
+    "brow_lateral": 1.1, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
     "mouth_purse": 0.58, "mouth_funnel": 0.55, "upperLipRaise": 0.3, "lowerLipDepress": 0.5,
     "brow_down": 0.4, "brow_raiseIn": 0.5, "brow_raiseOut": 0.4, "eye_blink": 0, "blink_half": 0,
     "eye_eyelidU": 0, "squintInner": 0.4, "_nose.ty": 0.6, "cornerDepress": 0.4, "eye_eyelidD": 0.3, "eye.t": 0,
@@ -40,7 +40,7 @@ MIX = {
     "brow_down.ty": ("browDown_@:.7", ""),
     "brow_raiseIn.ty": ("browInnerUp_@:1.3", ""),
     "brow_raiseOut.ty": ("browOuterUp_@:1", ""),
-    "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:1"),
+    "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:.85"),
     "eye_eyelidU.ty": ("lidU_@:.4", "eyeWide_@:.8"),
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
@@ -50,6 +50,10 @@ MIX = {
     "mouth_cornerDepress.ty": ("mouthFrown_@:.5", ""),
 }
 """Face units of the positive and the negative half of ``CTRL_@_`` controls, with factors."""
+LID_EDGE = {
+    "eye_cheekRaise.ty": 0.5, "eye_squintInner.ty": 0.6, "eye_eyelidD.ty": 0.8, "mouth_cornerPull.ty": 0.75,
+}  # fmt: skip
+"""Share of the rise of the lower lid's edge that is kept: the flesh below it rises and swells."""
 COLUMNS = np.linspace(-2.6, 2.6, 53)
 """Places along the lips at which they are sealed, cm of the average head."""
 CORNERS = np.array([(2.56, -3.63, 9.49), (-2.56, -3.63, 9.49)])
@@ -58,8 +62,8 @@ LIMIT_X = 2.75
 DEPTH = 1.5
 """Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
-_BROW = (("raiseIn", 1.1, 5.1, 0.32), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
-         ("raiseOut", 3.4, 5.5, 0.30))  # fmt: skip
+_BROW = (("raiseIn", 1.1, 5.1, 0.27), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
+         ("raiseOut", 3.0, 5.5, 0.34))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
 TEETH_AWAY = (0, -0.65, -0.25)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
@@ -239,6 +243,10 @@ class Shapes:
                 deltas[place[f"CTRL_C_eye.tx{end}"]] += look
         for name, delta in self._flesh().items():
             deltas[place[name]] += delta.astype(np.float32)
+        for s in "LR":
+            lids = self._lids(s, 0.55)[:, None]
+            for control, share in LID_EDGE.items():
+                deltas[place[f"CTRL_{s}_{control}"]][: self.n] *= 1 - (1 - share) * lids
         added = self._mouth(deltas[place["CTRL_C_jaw.ty"]]) | self._more(deltas, place)
         for name, delta in added.items():
             if name not in place:
@@ -255,6 +263,12 @@ class Shapes:
         known |= {*CORRECTIVES, "seal"}
         assert not (wrong := set(names) - known), wrong
         return names, deltas
+
+    def _lids(self, s, reach=0.3):
+        """How near to the edges of one eye's lids (L or R) points of the skin are, 0 to 1."""
+        center, radius = eye_of(self.average, self.base, s.lower())
+        above = np.linalg.norm(self.average[: self.n] - center, axis=1) / radius - 1.1
+        return np.exp(-((np.maximum(above, 0) / reach) ** 2))
 
     def _flesh(self):
         """What goes with the muscles: mounds, folds and lids of ``flesh.csv``, of both sides."""
@@ -379,9 +393,7 @@ class Shapes:
             knit = np.exp(-(((x - [0.9 * sign, 3.9, 10.6]) / [0.8, 0.8, 1.2]) ** 2).sum(1))
             knit = np.outer(knit, [-0.06 * sign, -0.16, 0.08])
             found[f"CTRL_{s}_nose.ty"], found[f"nose_upper_{s}"] = knit, -knit
-            center, radius = eye_of(x, self.base, s.lower())
-            above = np.linalg.norm(x[: self.n] - center, axis=1) / radius - 1.1
-            lids = np.exp(-((np.maximum(above, 0) / 0.3) ** 2))[:, None]
+            lids = self._lids(s)[:, None]
             for stem in LID_RAISERS:
                 moved = found[f"blink_{stem}_{s}"] = np.zeros_like(x)
                 moved[: self.n] = -lids * deltas[place[f"CTRL_{s}_{stem}.ty"]][: self.n]

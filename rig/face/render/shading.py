@@ -78,6 +78,8 @@ GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
 CATCH = unit(np.array([-0.30, 0.30, 0.90]))
 """Where eyes reflect the soft first light."""
+WINDOW_EDGE, WINDOW = (0.962, 1.0), 0.85
+"""Cosines to its middle between which its soft edge lies, and its light."""
 WINDOW_TURN = 0.5
 """How far it goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.15
@@ -203,8 +205,8 @@ void main() {{
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
     vec3 window = normalize({_vec(CATCH)} - vec3({WINDOW_TURN} * v.x, 0.0, 0.0));
-    float glow = smoothstep(0.974, 0.994, dot(mirror, window));
-    shine += (0.95 * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * wet;
+    float glow = smoothstep({WINDOW_EDGE[0]}, {WINDOW_EDGE[1]}, dot(mirror, window));
+    shine += ({WINDOW} * glow * glow + 0.03 * clamp(mirror.y + 0.3, 0.0, 1.0)) * wet;
   }}
   if (kind == {HAIR}) shine *= {TINT} * albedo;
   vec3 linear = albedo * albedo * shade * diffuse + shine;

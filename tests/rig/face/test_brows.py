@@ -34,6 +34,27 @@ def test_surprise_raises_whole_brows_as_an_arch(person):
 
 
 @pytest.mark.parametrize("person", PEOPLE)
+def test_brows_of_surprise_never_slant_like_anger(person):
+    """Their outer part stands no higher than the inner end; Chidi's stood 3 mm higher."""
+    head = build_head(person)
+    brow = head.slices["brow_L"]
+    x, y = head.pose(pose_values(EMOTION_POSES["surprised"]))[brow, :2].T
+    edges = x.min() + np.ptp(x) * np.arange(7) / 6
+    inner, outer = (y[(x >= edges[k]) & (x <= edges[k + 1])].mean() for k in (0, 4))
+    assert outer < inner + 0.1
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_frowning_brows_come_together(person):
+    """Corrugator draws their inner ends towards the middle, by more than a millimetre each."""
+    head = build_head(person)
+    brow = head.slices["brow_L"]
+    inner = head.neutral[brow, 0] < np.quantile(head.neutral[brow, 0], 1 / 6)
+    moved = head.pose(pose_values({"*brow_lateral.ty": 1})) - head.neutral
+    assert moved[brow, 0][inner].mean() < -0.13
+
+
+@pytest.mark.parametrize("person", PEOPLE)
 def test_upper_lids_go_down_with_the_look(person):
     """By nearly half of the way of the pupil."""
     head = build_head(person)

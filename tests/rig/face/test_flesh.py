@@ -42,6 +42,7 @@ def sites():
         ("*mouth_cornerPull.ty", "apple", Y, 0.3),  # zygomaticus major lifts the cheek
         ("*mouth_cornerPull.ty", "apple", Z, 0.2),  # which becomes round
         ("*mouth_cornerPull.ty", "lower lid", Y, 0.05),
+        ("*eye_cheekRaise.ty", "apple", Y, 0.4),  # orbicularis oculi
         ("*mouth_cornerPull.ty", "corner", Z, -0.3),  # the mouth wraps the teeth
         ("*nose.ty", "wing", Y, 0.4),  # levator labii alaeque nasi
         ("*nose.ty", "apple", Y, 0.2),
@@ -179,3 +180,30 @@ def test_lids_meet_in_a_blink_whatever_raises_the_lower_one(person, raiser):
     both = [head.landmarks[f"eye_{lid}_left"] for lid in ("upper", "lower")]
     pose = head.pose(pose_values({"*eye_blink.ty": 1, f"*{raiser}.ty": 1}))
     assert abs(np.subtract(*pose[both, Y])) < 0.06
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_a_broad_smile_narrows_the_eyes_from_below_and_leaves_them_open(person):
+    """By 2 to 4 mm, as lower lids of people in a Duchenne smile; the outer brow comes down a little.
+
+    Lids that rose 7 mm hid the iris before the cheek was seen to rise.
+    """
+    head = build_head(person)
+    smile = {"*mouth_cornerPull.ty": 1, "*eye_cheekRaise.ty": 1, "*eye_squintInner.ty": 0.5}
+    moved = head.pose(pose_values(smile)) - head.neutral
+    up, low = (head.landmarks[f"eye_{lid}_left"] for lid in ("upper", "lower"))
+    assert 0.2 < moved[low, Y] < 0.42 and abs(moved[up, Y]) < 0.1
+    assert np.subtract(*(head.neutral + moved)[[up, low], Y]) > 0.5  # cm
+    brow = head.slices["brow_L"]
+    outer = head.neutral[brow, X] > np.quantile(head.neutral[brow, X], 2 / 3)
+    assert -0.25 < moved[brow, Y][outer].mean() < -0.02
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_lids_at_rest_cover_the_edge_of_the_iris_and_show_no_white_above(person):
+    """The upper lid lies 1 to 4 mm below the top of an iris of 12 mm, the lower at its edge."""
+    head = build_head(person)
+    up, low = (head.neutral[head.landmarks[f"eye_{lid}_left"], Y] for lid in ("upper", "lower"))
+    middle, radius = head.eyes[0, Y], 0.6 * head.eyes[0, 3] / 1.51
+    assert 0.1 < middle + radius - up < 0.4
+    assert abs(middle - radius - low) < 0.1
