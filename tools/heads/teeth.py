@@ -3,7 +3,8 @@
 A row is a grid: columns along the arch, several for each tooth, and lines across it, from the fold
 of the cheek over gum, crown and edge to the palate or the floor of the mouth. Its picture has the
 same two coordinates, so gums, enamel and the shadow between teeth are painted where they are.
-Widths and heights of crowns are means of adults (Wheeler's Dental Anatomy), in cm.
+Widths of crowns are means of adults (Wheeler's Dental Anatomy), in cm; of the upper front teeth the
+gum covers half a millimetre more than of its means.
 """
 
 from dataclasses import dataclass
@@ -28,9 +29,10 @@ class Row:
     is how far that edge stands back towards the root, `thick` the edge's thickness, `round` how far
     the edge's corners stand back, `point` how far a point stands over its sides, `cusps` how many
     there are on the cheek's side. `root` is 1 where roots point up, else -1; `papilla` how far the
-    gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how far
-    the gum recedes, `tip` how far an edge stands before its crown's neck, `stand` how far a tooth stands out of the arch and `turn` how far its far
-    contact lies behind its near one; `crowded` is the deviation of single teeth from all this.
+    gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how
+    far the gum recedes, `tip` how far an edge stands before its crown's neck, `stand` how far a
+    tooth stands out of the arch and `turn` how far its far contact lies behind its near one;
+    `crowded` is the deviation of single teeth from all this.
     """
 
     root: int
