@@ -49,16 +49,16 @@ OWN = ("brow_L", "brow_R", "hair", "shirt")
 KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
          "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "shirt": CLOTH}  # fmt: skip
 GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.72,
-         "teeth_lower": 0.66, "tongue": 0.45, "shirt": 0.03}  # fmt: skip
+         "teeth_lower": 0.66, "tongue": 0.6, "shirt": 0.03}  # fmt: skip
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
-TONGUE = (0.92, 0.85, 0.83)
+TONGUE = (0.95, 0.86, 0.84)
 """Colour of the tongue over its picture."""
 CORRIDOR = {"teeth_upper": (0.7, 1.9), "teeth_lower": (0.6, 1.8), "tongue": (0.4, 1.2)}
 """Distance from the middle where the shadow of the cheeks on a part begins, and over what way, cm."""
-DEEP_LIGHT = {"teeth_upper": ((0.85, 0.6), 3.4), "teeth_lower": ((0.56, 0.38), 2.6),
-              "tongue": ((0.86, 0.66), 4.2)}  # fmt: skip
+DEEP_LIGHT = {"teeth_upper": ((1.0, 0.9), 3.6), "teeth_lower": ((0.72, 0.55), 3.0),
+              "tongue": ((0.94, 0.8), 5.0)}  # fmt: skip
 """Least light (of the sky, of the first lamp) of the parts of an open mouth at its front, and how
 far behind the lips there is none, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
@@ -307,7 +307,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part, corridor in CORRIDOR.items():  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]], *corridor)
-        colour[slices[part]] = front[:, None] ** [0.75, 0.95, 1.0]  # by cheeks
+        colour[slices[part]] = front[:, None] ** [0.6, 1.0, 1.15]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] *= TONGUE * np.array(look.get("mucosa", lips.MUCOSA)) / lips.MUCOSA
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
@@ -465,6 +465,7 @@ def _light(base, shapes, person, joined, picture):
     cheek = np.flatnonzero(shapes.inside() & (contact > 0.25))  # folded: neighbours have one light
     near = cKDTree(x[cheek]).query(x[cheek], k=30)[1]
     light[cheek] = np.minimum(light[cheek][near].mean(1), [0.34, 0.2])
+    light[cheek] *= (0.25 + 0.75 * _depth_light(x[cheek, 2] - front, 4.2))[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]

@@ -264,7 +264,7 @@ def _rounded(tongue):
     low, high = np.where(near, y, np.inf).min(1), np.where(near, y, -np.inf).max(1)
     top = (y - low) / np.maximum(high - low, 1e-6)
     across = np.minimum(np.abs(x) / half, 1)
-    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.6 * across**2
+    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.35 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
     tip = np.clip(1 - back / 0.4, 0, 1)
     narrow = np.stack([0.24 * tip**1.5 * x, 0 * x, 0.35 * tip * across**2], 1)

@@ -65,7 +65,7 @@ TONGUE_UP = 1.0
 _BROW = (("raiseIn", 1.1, 5.1, 0.27), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
          ("raiseOut", 3.0, 5.5, 0.34))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
-TEETH_AWAY = (0, -0.65, -0.25)
+TEETH_AWAY = (0, -0.85, -0.45)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
 lower lip, which covers all but their edges."""
 
@@ -375,7 +375,9 @@ class Shapes:
             "CTRL_C_tongue_roll.ty": np.stack(
                 [-0.2 * across * front, 0.42 * (across / 1.6) ** 2 * front, zero], 1
             ) * hold[:, None],
-            "CTRL_C_jaw.ty": np.stack([zero, 0.22 * front + 0.08 * body, 0.1 * front], 1) * hold[:, None],
+            "CTRL_C_jaw.ty": np.stack(
+                [0.45 * across * front, (0.22 + 0.3 * (across / 1.6) ** 2) * front + 0.08 * body, 0.35 * front], 1
+            ) * hold[:, None],
         }  # fmt: skip
 
     def _more(self, deltas, place):

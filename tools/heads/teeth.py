@@ -3,7 +3,8 @@
 A row is a grid: columns along the arch, several for each tooth, and lines across it, from the fold
 of the cheek over gum, crown and edge to the palate or the floor of the mouth. Its picture has the
 same two coordinates, so gums, enamel and the shadow between teeth are painted where they are.
-Widths and heights of crowns are means of adults (Wheeler's Dental Anatomy), in cm.
+Widths of crowns are means of adults (Wheeler's Dental Anatomy), in cm; of the upper front teeth the
+gum covers half a millimetre more than of its means.
 """
 
 from dataclasses import dataclass
@@ -28,9 +29,10 @@ class Row:
     is how far that edge stands back towards the root, `thick` the edge's thickness, `round` how far
     the edge's corners stand back, `point` how far a point stands over its sides, `cusps` how many
     there are on the cheek's side. `root` is 1 where roots point up, else -1; `papilla` how far the
-    gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how far
-    the gum recedes, `stand` how far a tooth stands out of the arch and `turn` how far its far
-    contact lies behind its near one; `crowded` is the deviation of single teeth from all this.
+    gum reaches down between teeth; `arch` has places (x, z) of the crowns' fronts; `lean` is how
+    far the gum recedes, `tip` how far an edge stands before its crown's neck, `stand` how far a
+    tooth stands out of the arch and `turn` how far its far contact lies behind its near one;
+    `crowded` is the deviation of single teeth from all this.
     """
 
     root: int
@@ -44,6 +46,7 @@ class Row:
     papilla: float
     arch: tuple[tuple[float, float], ...]
     lean: float
+    tip: tuple[float, ...]
     stand: tuple[float, ...]
     turn: tuple[float, ...]
     crowded: float
@@ -51,10 +54,10 @@ class Row:
 
 ROWS = {
     "upper": Row(
-        root=1, papilla=0.38, lean=0.16, crowded=0.012,
-        stand=(-0.01, -0.06, 0.01, 0, 0, 0, 0), turn=(0.01, 0.02, 0.10, 0.03, 0, 0, 0),
+        root=1, papilla=0.44, lean=0.16, crowded=0.012, tip=(0.09, 0.08, 0.06, 0.02, 0, 0, 0),
+        stand=(-0.08, -0.13, -0.05, -0.02, 0, 0, 0), turn=(0.01, 0.02, 0.10, 0.03, 0, 0, 0),
         width=(0.87, 0.66, 0.77, 0.70, 0.68, 0.98, 0.95),
-        height=(1.02, 0.90, 1.02, 0.86, 0.80, 0.76, 0.70),
+        height=(0.96, 0.83, 0.96, 0.82, 0.80, 0.76, 0.70),
         edge=(0.0, 0.095, 0.02, 0.12, 0.17, 0.24, 0.34),
         thick=(0.13, 0.13, 0.2, 0.56, 0.6, 0.8, 0.8),
         round=(0.10, 0.15, 0.11, 0.08, 0.07, 0.05, 0.05),
@@ -63,7 +66,7 @@ ROWS = {
               (2.32, -1.75), (2.5, -2.6), (2.6, -3.6), (2.6, -5.2)),
     ),
     "lower": Row(
-        root=-1, papilla=0.34, lean=0.12, crowded=0.035,
+        root=-1, papilla=0.34, lean=0.12, crowded=0.035, tip=(0.03, 0.03, 0.02, 0, 0, 0, 0),
         stand=(-0.02, 0.02, 0.03, 0, 0, 0, 0), turn=(0, 0.02, 0.07, 0.02, 0, 0, 0),
         width=(0.53, 0.58, 0.68, 0.70, 0.71, 1.08, 1.05),
         height=(0.86, 0.88, 1.0, 0.84, 0.8, 0.74, 0.7),
@@ -85,7 +88,7 @@ _LINES = {
 _CROWN = {"neck": (0.02, 0.0), "bulge": (0.2, 0.055), "middle": (0.45, 0.065), "cut": (0.7, 0.045),
           "low": (0.88, 0.01), "tip": (0.97, -0.03), "edge": (1.0, -0.07)}  # fmt: skip
 """Lines of the crown's front: way from gum to edge, and how far they stand out, cm."""
-ENAMEL = {"upper": (0.98, 0.965, 0.94), "lower": (0.84, 0.79, 0.74)}
+ENAMEL = {"upper": (1.0, 0.98, 0.95), "lower": (0.93, 0.885, 0.83)}
 """Factor on the person's colour of teeth: the lower row is in the shadow of the upper one."""
 _SHOWN = (1.5, 1.4, 1.3, 1.0, 0.8, 0.55, 0.45)
 """Share of the picture that each tooth takes, for its width."""
@@ -181,7 +184,7 @@ def grid(name, seed):
     for crown, (way, more) in _CROWN.items():
         root = margin + (edge - margin) * way
         notch = groove * (0.5 + 0.9 * way**2)
-        line(crown, root, out + more - notch)
+        line(crown, root, out + more - notch + columns.of(row.tip) * way)
     tip = lines["edge"][1]
     is_broad = np.clip((thick - 0.25) / 0.25, 0, 1)
     line("fissure", edge + 0.10 * is_broad * (1 - 0.3 * far**2), tip - 0.5 * thick)
@@ -246,7 +249,7 @@ def _enamel(name, look, v, rng):
     at = np.clip(np.searchsorted(columns.places(), u), 0, len(columns.across) - 1)
     far, place, tooth = columns.aside[at], columns.place[at], columns.tooth[at]
     way = np.clip((v - _LINES["margin"]) / (_LINES["edge"] - _LINES["margin"]), 0, 1)
-    enamel = np.array(look.get("enamel", (0.93, 0.885, 0.81))) * ENAMEL[name]
+    enamel = np.array(look.get("enamel", (0.94, 0.87, 0.775))) * ENAMEL[name]
     yellow = np.array([0.0, 0.01, 0.06, 0.035, 0.03, 0.03, 0.03])[place]
     yellow = yellow + np.abs(rng.normal(0, 0.008, 14))[tooth]
     colour = enamel * (1 - yellow[:, None] * [0.35, 0.9, 1.7])

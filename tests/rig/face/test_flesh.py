@@ -80,15 +80,26 @@ def test_teeth_stand_right_behind_the_lips(person):
     assert 0.3 < lip[len(lip) // 2, Z] - front < 0.5
 
 
-def _green_teeth(person, pose, view):
-    """A pose, its picture of 300 x 300 pixels in which only teeth and gums are green, its view."""
+def _green(person, pose, view, parts):
+    """A pose, its picture of 300 x 300 pixels in which only some vertices are green, its view."""
     head = build_head(person)
     points = head.pose(pose_values(pose)).astype(float)
     green = np.zeros((len(points), 3))
-    green[head.slices["teeth_upper"].start : head.slices["teeth_lower"].stop, 1] = 1
+    green[parts, 1] = 1
     plain = np.full(len(points), PLAIN)
     mesh = replace(head.mesh, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
     return points, Renderer(mesh, (300, 300), VIEWS[view]).render(points).astype(int), VIEWS[view]
+
+
+def _is_green(drawn):
+    return drawn[..., 1] > drawn[..., [0, 2]].max(-1) + 40
+
+
+def _green_teeth(person, pose, view):
+    """`_green` of teeth and gums."""
+    slices = build_head(person).slices
+    rows = slice(slices["teeth_upper"].start, slices["teeth_lower"].stop)
+    return _green(person, pose, view, rows)
 
 
 MOUTHS = [*EMOTION_POSES, "rest"]
@@ -106,7 +117,7 @@ def test_no_tooth_comes_through_shut_lips(person, emotion):
     """In front of every tooth there is skin when the lips are together."""
     shut = {"*mouth_lipsTogetherU.ty": 1.0, "*mouth_lipsTogetherD.ty": 1.0}
     _, drawn, _ = _green_teeth(person, {**EMOTION_POSES.get(emotion, {}), **shut}, "mouth")
-    assert (drawn[..., 1] > drawn[..., [0, 2]].max(-1) + 40).sum() <= 2  # green pixels
+    assert _is_green(drawn).sum() <= 2
 
 
 @pytest.mark.parametrize("person", PEOPLE)
@@ -117,7 +128,7 @@ def test_no_tooth_or_gum_comes_through_the_chin_of_a_dropped_jaw(person):
     _, y, _, far = view.matrix(1) @ bottom
     chin = drawn[int(150 * (1 - y / far)) :]
     assert drawn[..., 1].max() > 200  # teeth are seen
-    assert not (chin[..., 1] > chin[..., [0, 2]].max(-1) + 40).any()
+    assert not _is_green(chin).any()
 
 
 @pytest.mark.parametrize("person", PEOPLE)
@@ -159,6 +170,43 @@ def test_snarl_is_square(person):
     """Levator labii alaeque nasi raises the lip over the canine more than in the middle."""
     middle, canine, side = _lips(person, EMOTION_POSES["angry"], (0, 0.45, 0.9))[0]
     assert canine > middle + 0.08 and canine > side + 0.2
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_corner_of_a_smile_goes_as_far_aside_as_it_rises_over_the_middle(person):
+    """Zygomaticus major pulls to the cheek bone, aslant: a corner that rises more is a joker's."""
+    head = build_head(person)
+    moved = head.pose(pose_values({"*mouth_cornerPull.ty": 1})) - head.neutral
+    corner, middle = (moved[head.landmarks[n]] for n in ("mouth_corner_left", "upper_rim"))
+    rise = corner[Y] - middle[Y]
+    assert 0.7 * corner[X] < rise < 1.1 * corner[X]
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_snarl_bares_lit_teeth_and_gum(person):
+    """Gum is seen over the teeth, and these are nearly as light as the skin around the mouth."""
+    head = build_head(person)
+    row, atlas = head.slices["teeth_upper"], head.mesh.maps.atlas
+    place = (head.mesh.uv[row] * len(atlas)).astype(int)
+    red, green, _ = atlas[tuple(place.T[::-1])][:, :3].astype(float).T
+    gum, tooth = (row.start + np.flatnonzero(k) for k in (red > 1.3 * green, red < 1.2 * green))
+    pose = EMOTION_POSES["angry"]
+    assert _is_green(_green(person, pose, "mouth", gum)[1]).sum() > 20
+    points, drawn, view = _green(person, pose, "mouth", tooth)
+    skin = _green(person, pose, "mouth", head.slices["skin"])[1]
+    seen = Renderer(head.mesh, (300, 300), view).render(points).mean(-1)
+    assert np.median(seen[_is_green(drawn)]) > 0.9 * np.median(seen[_is_green(skin)])
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_tongue_lies_before_the_lower_teeth_of_a_surprised_mouth(person):
+    """From the front the sides of the lower row are hidden behind the tongue."""
+    slices = build_head(person).slices
+    tongue, row = (
+        _is_green(_green(person, EMOTION_POSES["surprised"], "mouth", slices[part])[1]).sum()
+        for part in ("tongue", "teeth_lower")
+    )
+    assert tongue > 20 * row
 
 
 @pytest.mark.parametrize("person", PEOPLE)
