@@ -19,6 +19,7 @@ from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk.config.section import rule
 from deitalk.installed import __version__
+from rig.errors import quoted
 
 ROUTES = (animations, jobs, catalogue, health, live, studio, documentation)
 SENT_HEADERS = (
@@ -114,10 +115,14 @@ class Cors(CORSMiddleware):
 def _add_handlers(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
-        found = [{"option": ".".join(map(str, e["loc"])), "rule": rule(e)} for e in error.errors()]
-        first = found[0]
-        message = f"{first['option']}: {first['rule']}"
-        return problem_answer(Problem(422, message, "option_invalid", found[:20]))
+        found = [
+            {"option": ".".join(map(str, e["loc"][1:] or e["loc"])), "rule": rule(e)}
+            for e in error.errors()
+        ]
+        option, stated = found[0].values()
+        if not stated.startswith(f"{option} "):
+            stated = f"{option} {quoted(error.errors()[0]['input'])}: {stated}"
+        return problem_answer(Problem(422, stated, "option_invalid", found[:20]))
 
     @app.exception_handler(HTTPException)
     async def unknown(request: Request, error: HTTPException) -> Response:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from api.compute.worker import start_early
 from api.guard.keys import new_key
 from api.settings import ApiKey, Settings, load_settings
+from deitalk.config.section import rule
 from deitalk.errors import ConfigError
 from rig.errors import quoted
 from rig.files import atomic_write
@@ -93,7 +94,7 @@ def print_new_key(name: str, scopes: str, per_minute: int) -> None:
         )
     except ValidationError as error:
         first = error.errors()[0]
-        raise ConfigError(f"{first['loc'][0]} {quoted(first['input'])}: {first['msg']}") from None
+        raise ConfigError(f"{first['loc'][0]} {quoted(first['input'])}: {rule(first)}") from None
     sys.stdout.write(
         f"{key}\n\nkeys:\n  - name: {entry.name}\n    sha256: {entry.sha256}\n"
         f"    scopes: [{', '.join(entry.scopes)}]\n"

@@ -8,7 +8,7 @@ import sys
 from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
@@ -16,7 +16,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
 from deitalk.config.hub import is_hub_name
-from deitalk.config.section import rule
+from deitalk.config.section import Pattern, rule
 from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.device import check_device
@@ -38,8 +38,10 @@ class ApiKey(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", repr=False)
+    name: Annotated[
+        str, Pattern(r"[A-Za-z0-9_.-]{1,40}", "1 to 40 of A to Z, a to z, 0 to 9, _ . -")
+    ]
+    sha256: Annotated[str, Pattern(r"[0-9a-f]{64}", "64 of 0 to 9, a to f")] = Field(repr=False)
     scopes: tuple[Scope, ...] = SCOPES
     requests_per_minute: int = Field(default=600, ge=1, le=1_000_000)
     jobs: int = Field(default=100, ge=0, le=100_000)

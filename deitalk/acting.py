@@ -55,6 +55,7 @@ from deitalk.acting_fields import (
     written_place,
     written_variant_text,
 )
+from deitalk.config.section import Pattern, rule
 from deitalk.errors import ConfigError, EmotionError
 from deitalk.postprocess.life.listener import NO_PLACE
 from rig import limits
@@ -156,7 +157,10 @@ class Acting(BaseModel):
         examples=["anna"],
         json_schema_extra=_extra(panel="Performance"),
     )
-    language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
+    language: Annotated[
+        str,
+        Pattern("[A-Za-z0-9-]{2,32}", "a voice of espeak-ng, 2 to 32 of A to Z, a to z, 0 to 9, -"),
+    ] = Field(
         default="en-us",
         description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
         json_schema_extra=_extra(panel="Performance"),
@@ -360,7 +364,7 @@ def user_error(error: ValidationError) -> UserError:
         return cause
     name = ".".join(map(str, first["loc"]))
     if first["type"] != "extra_forbidden":
-        return ConfigError(f"{name} {quoted(first['input'])}: {first['msg']}")
+        return ConfigError(f"{name} {quoted(first['input'])}: {rule(first)}")
     return ConfigError(f"no field {quoted(name)}; known are {', '.join(Acting.model_fields)}")
 
 

@@ -192,6 +192,11 @@ class Guard:
                 headers={"Connection": "close"},
             )  # fmt: skip
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
+        if b"transfer-encoding" in headers and b"content-length" in headers:  # RFC 9112, 6.1
+            raise Problem(
+                400, "Content-Length beside Transfer-Encoding: send one of both",
+                headers={"Connection": "close"},
+            )  # fmt: skip
         self._check_host(headers.get(b"host", ""), is_probe=scope["path"] in PROBE_PATHS)
         if scope["path"] != STUDIO_PATH:  # a link of another site may open it
             self._check_origin(headers)

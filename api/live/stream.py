@@ -113,7 +113,9 @@ class LiveStream:
         if self.is_float:
             chunk = np.frombuffer(data[:whole], "<f4").astype(np.float32)
             if not np.isfinite(chunk).all() or (np.abs(chunk) > 1e6).any():
-                raise Problem(422, "samples must be finite, within 1", "audio_unusable")
+                raise Problem(
+                    422, "samples must be finite, within ±1e6; 1 is full scale", "audio_unusable"
+                )
         else:
             chunk = np.frombuffer(data[:whole], "<i2").astype(np.float32) / np.float32(32768)
         chunk = self._resampler.resample_chunk(chunk)

@@ -7,7 +7,7 @@ checked but for tables of keys and files.
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,13 +15,12 @@ from api.compute.order import ACTING
 from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from deitalk.audio.original import start_of
+from deitalk.config.section import Pattern
 from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
 from rig.curves.layer_diff import TOLERANCE
 from rig.limits import FPS_HIGHEST, FPS_LOWEST, MOST_DELAY, MOST_HANDLES
 
-NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
-TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
 FIELD_FILES = (
     "emotion", "intensity_curve", "voice", "words", "script", "edit", "listen_to", "after", "into"
 )  # fmt: skip
@@ -55,7 +54,15 @@ Rate = Annotated[float | None, Field(ge=FPS_LOWEST, le=FPS_HIGHEST)]
 Format = Annotated[
     str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
 ]
-Name = Annotated[str | None, Field(pattern=NAME_PATTERN)]
+NAME = Pattern(
+    r"[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?",
+    "1 to 64 of A to Z, a to z, 0 to 9, _ - and spaces, a letter or digit first and last",
+)
+Name = Annotated[str, NAME] | None
+TIMECODE = Pattern(
+    r"(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)",
+    "zero, recording or HH:MM:SS:FF (;FF for drop frame)",
+)
 Delay = Annotated[
     int,
     Field(
@@ -98,9 +105,8 @@ class SpeechOptions(Acting):
 class AnimationOptions(SpeechOptions):
     """Options of curves of a recording."""
 
-    timecode: str = Field(
+    timecode: Annotated[str, TIMECODE] = Field(
         "zero",
-        pattern=TIMECODE_PATTERN,
         description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF "
         "(;FF for drop frame).",
         examples=["recording", "10:00:00:12", "10:00:00;12"],
@@ -147,10 +153,8 @@ class MeshOptions(SpeechOptions):
 class RetargetOptions(SpeechOptions):
     """Options of a recording or curves on a mesh that the request sends."""
 
-    method: str = Field(
-        "displacements",
-        pattern="^(displacements|gradients)$",
-        description="How shapes are made for a mesh.",
+    method: Literal["displacements", "gradients"] = Field(
+        "displacements", description="How shapes are made for a mesh."
     )
     as_neutral: bool = Field(False, description="Ignore the mesh's own shapes.")
     curves_fps: Rate = Field(None, description="Rate of curves without one.")

@@ -20,12 +20,17 @@ from api.routes import form_schema
 from api.routes.animations import ANIMATION, SPEECH, speech
 from api.routes.deps import JobCallerDep, ServiceDep, problems
 from api.service import Service
+from deitalk.config.section import Pattern
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=problems(404))
 POLL_SECONDS = 0.25
 QUIET_SECONDS = 15.0
 """Longest silence of a stream of events: proxies close what is silent for longer."""
-JobId = Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{43}$", examples=[JOB_EXAMPLE])]
+JobId = Annotated[
+    str,
+    Path(examples=[JOB_EXAMPLE]),
+    Pattern(r"[A-Za-z0-9_-]{43}", "the id of a job, 43 of A to Z, a to z, 0 to 9, _ -"),
+]
 Status = Literal["queued", "running", "done", "failed", "cancelled"]
 
 

@@ -101,11 +101,21 @@ class Window:
         return self.place
 
 
+def tag_bytes(head: bytes) -> int:
+    """Bytes of the ID3 tag whose first ten are given; 0 if they are of none."""
+    if head[:3] != b"ID3" or len(head) < 10:
+        return 0
+    a, b, c, d = (byte & 0x7F for byte in head[6:10])
+    # the size without these 10 bytes, in 4 times 7 bits
+    return 10 + (a << 21) + (b << 14) + (c << 7) + d
+
+
 class Content:
-    """Bytes of a file by their places."""
+    """Bytes of a file by their places; `first` is that after an ID3 tag."""
 
     def __init__(self, file: IO[bytes] | Window) -> None:
         self.file, self.size = file, file.seek(0, io.SEEK_END)
+        self.first = tag_bytes(self.at(0, 10))
 
     def at(self, place: int, count: int) -> bytes:
         """Read at most so many bytes from a place on."""

@@ -17,9 +17,9 @@ from typing import IO, Any, Protocol
 import numpy as np
 
 from deitalk.audio.choice import ENCODINGS, AudioChoice, RawFormat
-from deitalk.audio.content import Part, Window
+from deitalk.audio.content import Content, Part, Window
 from deitalk.audio.ffmpeg import FFmpegReader, Piece
-from deitalk.audio.parts import parts_of, tag_bytes
+from deitalk.audio.parts import parts_of
 from deitalk.errors import AudioError
 from deitalk.signals import held
 from rig.arrays import Float32
@@ -107,10 +107,8 @@ class SoundSource(Protocol):
 
 def sniff(file: IO[bytes]) -> str | None:
     """Format of a file by its first bytes: a demuxer of FFmpeg; None if it does not read it."""
-    file.seek(0)
-    tag = tag_bytes(file.read(10))
-    file.seek(tag)
-    first = file.read(400)
+    content = Content(file)
+    first = content.at(content.first, 400)
     if len(first) > 1 and first[0] == 0xFF and first[1] & 0xE0 == 0xE0:
         return "mp3" if first[1] & 0x06 else "aac"  # the layer; 0 is AAC in ADTS
     for offset, mark, demuxer in _SIGNATURES:
@@ -118,7 +116,7 @@ def sniff(file: IO[bytes]) -> str | None:
             return demuxer
     if any(all(first[at : at + 1] == b"G" for at in places) for places in _TS_PLACES):
         return "mpegts"
-    return "mp3" if tag else None
+    return "mp3" if content.first else None
 
 
 @contextmanager

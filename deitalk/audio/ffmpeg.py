@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio.content import CHANNELS, Window, length_note
-from deitalk.audio.parts import has_fragments, tag_bytes
+from deitalk.audio.content import CHANNELS, Content, Window, length_note
+from deitalk.audio.parts import has_fragments
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 
@@ -222,9 +222,8 @@ class FFmpegReader:
 
         keeps_length = self.demuxer in _KEEP_LENGTH
         if self.demuxer == "mp3":  # its first frame may hold the number of frames
-            self.window.seek(0)
-            self.window.seek(tag_bytes(self.window.read(10)))
-            head = self.window.read(256)
+            content = Content(self.window)
+            head = content.at(content.first, 256)
             keeps_length = any(mark in head for mark in _MP3_LENGTHS)
         if not keeps_length:
             return 0.0

@@ -113,7 +113,7 @@ class _Header(NamedTuple):
 
 def with_headers(content: Content, demuxer: str) -> Iterator[Part]:
     """Recordings of a format in `READERS`, one after another."""
-    place = 0
+    place = content.first
     while place < content.size:
         header = READERS[demuxer](content, place)
         if header is None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice, pairwise
 from typing import IO
 
-from deitalk.audio.content import STARTS, Content, Part, Window
+from deitalk.audio.content import STARTS, Content, Part, Window, tag_bytes
 from deitalk.audio.headers import READERS, TAIL_BYTES, with_headers
 from deitalk.errors import AudioError
 
@@ -39,8 +39,9 @@ def parts_of(file: IO[bytes], demuxer: str | None) -> list[Part]:
     if demuxer in _FINDERS:
         found = _FINDERS[demuxer](content, demuxer)
     else:  # from each beginning of a recording to the next
-        starts = content.starts(demuxer, 1) if demuxer in STARTS else iter(())
-        found = _between([0, *islice(starts, MOST_PARTS + 1), content.size])
+        first = content.first if demuxer in STARTS else 0
+        starts = content.starts(demuxer, first + 1) if demuxer in STARTS else iter(())
+        found = _between([first, *islice(starts, MOST_PARTS + 1), content.size])
     parts = []
     for part in found:
         parts.append(part)
@@ -72,7 +73,7 @@ def _ogg(content: Content, demuxer: str) -> Iterator[Part]:
 
 def _boxes(content: Content) -> Iterator[tuple[int, bytes]]:
     """Place and name of each box of a movie (ISO 14496-12)."""
-    place = 0
+    place = content.first
     for _ in range(MOST_BOXES):
         head = content.at(place, 16)
         if len(head) < 8:
@@ -88,7 +89,7 @@ def _boxes(content: Content) -> Iterator[tuple[int, bytes]]:
 
 def _movies(content: Content, demuxer: str) -> Iterator[Part]:
     """Movies one after another: a box `ftyp` after a `moov` begins the next."""
-    starts, has_movie = [0], False
+    starts, has_movie = [content.first], False
     for place, name in _boxes(content):
         if name == b"ftyp" and has_movie:
             starts.append(place)
@@ -122,8 +123,7 @@ def _mpeg(content: Content, demuxer: str) -> Iterator[Part]:
             if len(starts) > MOST_PARTS + 1:
                 break
     starts.sort()
-    sound = tag_bytes(content.at(0, 10))
-    if starts and (starts[0] <= sound or content.at(sound, 1) != b"\xff"):
+    if starts and (starts[0] <= content.first or content.at(content.first, 1) != b"\xff"):
         starts[0] = 0  # of the first recording
     yield from _between([0, *(place for place in starts if place), content.size])
 
@@ -145,15 +145,6 @@ def _before_tag(content: Content, place: int) -> int:
         if at >= 0 and at + tag_bytes(block[at : at + 10]) == len(block):
             return begin + at
     return place
-
-
-def tag_bytes(head: bytes) -> int:
-    """Bytes of the ID3 tag whose first ten are given; 0 if they are of none."""
-    if head[:3] != b"ID3" or len(head) < 10:
-        return 0
-    a, b, c, d = (byte & 0x7F for byte in head[6:10])
-    # the size without these 10 bytes, in 4 times 7 bits
-    return 10 + (a << 21) + (b << 14) + (c << 7) + d
 
 
 _FINDERS: dict[str, Callable[[Content, str], Iterator[Part]]] = {

@@ -17,12 +17,15 @@ from deitalk.config.section import (
     Dropout,
     Odd,
     Optimisation,
+    Pattern,
     Section,
     Share,
     Weight,
     Width,
 )
 from rig import limits
+
+MODULE_CLASS = Pattern(r"[\w.]+:[\w.]+", "a module and a class, module:Class")
 
 
 class ModelConfig(Section):
@@ -80,7 +83,7 @@ class ModelConfig(Section):
     """Carry every layer's input past it; not in the paper."""
     decoder_direct: bool = False
     """The last layer has the speech features too; not in the paper."""
-    own_decoder: Annotated[str, Field(max_length=200, pattern=r"^[\w.]+:[\w.]+$")] | None = None
+    own_decoder: Annotated[str, Field(max_length=200), MODULE_CLASS] | None = None
     """A class of `deitalk.models.rig_decoder.RigDecoder`, ``module:Class``; not in the paper."""
     kernel_size: Odd = 3
     dropout: Dropout = 0.0

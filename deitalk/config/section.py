@@ -1,13 +1,35 @@
 """Types and limits of the fields of a configuration, and the YAML it is read from."""
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import core_schema
 
 from deitalk.errors import ConfigError
 from rig import limits
 from rig.errors import quoted, shorten
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """The rule of a text: a regular expression for schemas, and in words for messages."""
+
+    expression: str
+    words: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
+        return handler(schema) | {"pattern": f"^{self.expression}$"}
+
+    def _checked(self, text: str) -> str:
+        if not re.fullmatch(self.expression, text):
+            raise ValueError(f"must be {self.words}")
+        return text
 
 
 def _odd(value: int) -> int:

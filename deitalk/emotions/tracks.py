@@ -9,9 +9,10 @@ Weights are not negative and sum to 1: the rest goes to neutral, so ``happy=0.7`
 """
 
 import csv
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,9 +34,12 @@ from rig.errors import quoted
 from rig.files import atomic_write
 from rig.files.reading import load_json
 from rig.limits import SECONDS
+from rig.written_number import number_of
 
 MAX_INTENSITY = 4.0  # 1: as predicted from the voice; above 4 controls reach their limits
 ROUNDING = 1e-4  # files round their weights
+TAKE_COLUMNS = ("frame", "time", *LABELS, "saliency", "predicted", "intensity")
+"""Of a take's ``intensity.csv``."""
 
 
 def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
@@ -162,7 +166,8 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
         ``"happy"``; ``"happy=0.7,surprised=0.3"``; ``{"happy": 0.7}``; or the path of a CSV, JSON
         or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1, which may be
         left out), or the text of a CSV or JSON. Keys at the same time mix. A table
-        ``time,<emotion>,…`` of weights, such as a take's ``intensity.csv``, is read too.
+        ``time,<emotion>,…`` of weights, such as a take's ``intensity.csv``, is read too; columns
+        other than those of that file may hold notes, no numbers.
 
     Returns
     -------
@@ -229,6 +234,8 @@ def _track(table: Table) -> EmotionTrack:
 def _from_weights(table: Table) -> EmotionTrack:
     """A table of weights, one row for each time."""
     present = [name for name in LABELS if name in table.names]
+    notes = sorted(table.names - {"", *TAKE_COLUMNS})
+    table = replace(table, keys=_without_numbers(table, notes))
     keys = table.columns(("time", *present))
     times = _checked_times(keys)
     still = np.diff(times, prepend=-1.0) <= 0
@@ -237,6 +244,18 @@ def _from_weights(table: Table) -> EmotionTrack:
     for name in present:
         weights[:, LABELS.index(name)] = keys.numbers[name]
     return EmotionTrack(times, _distributions(table.path, times, weights))
+
+
+def _without_numbers(table: Table, names: Sequence[str]) -> Iterator[tuple[int, Any]]:
+    """Keys of a table; EmotionError at the first number in columns that can only hold notes."""
+    for row, key in table.keys:
+        for name in names:
+            if np.isfinite(number_of(key.get(name))):
+                raise EmotionError(
+                    f"{table.path}, key {row}: {quoted(name)} is {quoted(key[name])} and no "
+                    f"emotion; known are {', '.join(LABELS)}; other columns hold no numbers"
+                )
+        yield row, key
 
 
 def _checked_times(keys: Columns) -> Float64:
@@ -344,10 +363,9 @@ def write_intensity_csv(
         Intensity applied; `read_intensity_curve` reads this column back.
     """
     columns = np.column_stack([times, weights, saliency, predicted, intensity])
-    header = ("frame", "time", *LABELS, "saliency", "predicted", "intensity")
     with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
+        writer.writerow(TAKE_COLUMNS)
         for frame, (time, *values) in enumerate(row.tolist() for row in columns):
             writer.writerow([frame, f"{time:.6f}", *(f"{value:.6g}" for value in values)])
 

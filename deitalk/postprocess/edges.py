@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -23,7 +23,7 @@ from deitalk.errors import DataError
 from rig import RigCurves, limits
 from rig.arrays import Float32, Float64
 from rig.curves import HEAD
-from rig.errors import quoted
+from rig.errors import listed, quoted
 from rig.files.reading import load_json, read_text
 from rig.formats import read_curves
 
@@ -199,14 +199,15 @@ def opened_take(path: Path, names: Sequence[str]) -> Iterator[Path]:
     Parameters
     ----------
     path : Path
-        A zipped take; any other path is given back as it is.
+        A zipped take, its files or their folder; any other path is given back as it is.
     names : sequence of str
         The only files that are unpacked, into a folder of their own; absent ones are left out.
 
     Raises
     ------
     DataError
-        If it is no archive, or a file is larger than `rig.limits.JSON_CURVES_BYTES`.
+        If it is no archive, holds several takes, or a file is larger than
+        `rig.limits.JSON_CURVES_BYTES`.
     """
     if path.suffix.lower() != ARCHIVE or path.is_dir():
         yield path
@@ -215,12 +216,23 @@ def opened_take(path: Path, names: Sequence[str]) -> Iterator[Path]:
         folder = Path(made)
         try:
             with zipfile.ZipFile(path) as archive:
-                for name in set(names) & set(archive.namelist()):
-                    with archive.open(name) as file:
+                entries = {entry: PurePosixPath(entry) for entry in archive.namelist()}
+                takes = sorted({e.parent for e in entries.values() if e.name == TAKE_CURVES})
+                top = min((len(take.parts) for take in takes), default=0)
+                takes = [take for take in takes if len(take.parts) == top]
+                if len(takes) > 1:
+                    raise DataError(
+                        f"{path} holds {len(takes)} takes: {listed(takes)}; zip the one that is "
+                        "meant, or name its folder"
+                    )
+                for entry, inside in entries.items():
+                    if inside.name not in names or inside.parent not in takes:
+                        continue
+                    with archive.open(entry) as file:
                         data = file.read(limits.JSON_CURVES_BYTES + 1)
                     if len(data) > limits.JSON_CURVES_BYTES:
-                        raise DataError(f"{path}: {name} is too large; name a take folder")
-                    (folder / name).write_bytes(data)
+                        raise DataError(f"{path}: {entry} is too large; name a take folder")
+                    (folder / inside.name).write_bytes(data)
         except (
             zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError
         ) as error:  # fmt: skip

@@ -53,6 +53,10 @@ def split(answer: bytes) -> tuple[int, dict[str, str], bytes]:
         (b"POST /v1/animations HTTP/1.1\r\n" + HOST + b"Content-Length: -1\r\n\r\n", {400}),
         (b"POST /v1/animations HTTP/1.1\r\n" + HOST
          + b"Content-Length: 1\r\nContent-Length: 2\r\n\r\na", {400}),
+        (b"POST /v1/animations HTTP/1.1\r\n" + HOST
+         + b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", {400}),
+        (b"GET /healthz HTTP/1.1\r\n" + HOST
+         + b"Transfer-Encoding: chunked\r\nContent-Length: 5\r\n\r\n0\r\n\r\n", {400}),
         (b"POST /v1/animations HTTP/1.1\r\n" + HOST + b"Transfer-Encoding: gzip\r\n\r\n", {400, 501}),
         (b"POST /v1/animations HTTP/1.1\r\n" + HOST + b"Transfer-Encoding: chunked\r\n\r\nzz\r\n", {400}),
         (b"GET /none HTTP/1.1\r\n" + HOST + b"\r\n", {404}),
@@ -144,6 +148,25 @@ def test_what_is_malformed_in_a_form_is_named(server, client, kind, body, status
     assert answer.headers["content-type"] == "application/problem+json"
     assert named in content["message"], content
     assert " ERROR " not in server.log.read_text()[size:]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"fps": "29,97"}, "fps '29,97': Input should be a valid number"),
+        ({"rest": "2"}, "rest '2' must be a number, 0 to 1"),
+        ({"name": "a/b"}, "name 'a/b': must be 1 to 64 of A to Z"),
+        ({"emotoin": "sad"}, "emotoin 'sad': unknown key; known are emotion"),
+        ({}, "job_id 'x': must be the id of a job"),
+    ],
+)
+def test_an_option_is_named_once_with_its_value_and_rule(client, fields, said):
+    answer = (
+        client.post("/v1/animations", data=fields, files={"recording": ("a.wav", CLIP)})
+        if fields
+        else client.get("/v1/jobs/x")
+    )
+    assert answer.status_code == 422 and answer.json()["message"].startswith(said), answer.text
 
 
 @pytest.mark.parametrize(

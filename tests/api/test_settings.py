@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import uvicorn
 import yaml
+from pydantic import ValidationError
 from typer.testing import CliRunner
 
 import api
@@ -21,9 +22,17 @@ from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
 from api.messages.formats import ANIMATION_FORMATS, choose_format
+from api.messages.options import (
+    AnimationOptions,
+    ConversionOptions,
+    DiffOptions,
+    RetargetOptions,
+)
 from api.serving import check_places
-from api.settings import Settings, load_settings
+from api.settings import ApiKey, Settings, load_settings
 from deitalk.cli import app
+from deitalk.config.curves import ModelConfig
+from deitalk.config.section import rule
 from deitalk.errors import ConfigError, DeitalkError
 from tests.browser import needs_player
 from tests.command import ran
@@ -54,6 +63,28 @@ def test_wrong_settings_are_named(tmp_path, text, named):
     file.write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_settings(file)
+
+
+@pytest.mark.parametrize(
+    ("model", "field", "value", "words"),
+    [
+        (AnimationOptions, "name", "a/b", "1 to 64 of A to Z"),
+        (AnimationOptions, "timecode", "10:00", "HH:MM:SS:FF"),
+        (AnimationOptions, "language", "e", "voice of espeak-ng"),
+        (DiffOptions, "name", "-a", "a letter or digit first"),
+        (ConversionOptions, "name", "a\n", "1 to 64 of A to Z"),
+        (RetargetOptions, "method", "by hand", "'displacements' or 'gradients'"),
+        (ApiKey, "name", "a b", "1 to 40 of A to Z"),
+        (ApiKey, "sha256", "A" * 64, "64 of 0 to 9, a to f"),
+        (ModelConfig, "own_decoder", "mine", "module:Class"),
+    ],
+)
+def test_the_rule_of_a_text_is_stated_in_words(model, field, value, words):
+    """The regular expressions of schemas are for programs."""
+    with pytest.raises(ValidationError) as caught:
+        model(**{field: value})
+    (found,) = [rule(item) for item in caught.value.errors() if item["loc"][0] == field]
+    assert words in found and "[" not in found and "Value error" not in found
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def find_takes(
         if not chosen:
             raise DataError(
                 f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves and no "
-                "video; for another rig give `mapping`, a table, or rig, its name",
+                "video; for another rig give `mapping`, a table, or the name of its rig",
                 parameter="mapping",
             )
         takes += [Source(path, _place(path, source.parent)) for path in chosen]

@@ -55,6 +55,15 @@ def test_chunks_after_samples_of_unknown_length_are_no_sound(size):
     assert np.abs(recording.waveform[-1600:]).max() < 1e-4
 
 
+@pytest.mark.parametrize("kind", ["WAV", "W64", "AIFF", "AU", "CAF", "FLAC", "OGG", "MP3"])
+def test_a_tag_before_a_recording_is_no_sound(kind):
+    """ID3v2: ten bytes, the last four of 7 bits each its size, here 130; then the recording."""
+    data, tag = written(kind, None), b"ID3\4\0\0\0\0\1\2" + bytes(130)
+    plain, tagged = load_audio(data), load_audio(tag + data)
+    assert np.array_equal(tagged.waveform, plain.waveform) and notes(tagged) == notes(plain)
+    assert load_audio(tag + data + data).duration == pytest.approx(2 * plain.duration, abs=0.1)
+
+
 @pytest.mark.parametrize("after", [LIST, b"\0" * 700, b"TAG" + b"a" * 125, b"ID3\3\0\0\0\0\1\0abc"])
 def test_what_follows_samples_of_a_true_length_is_no_sound(after):
     recording = load_audio(written("WAV", "PCM_16") + after)

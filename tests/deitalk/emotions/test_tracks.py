@@ -181,6 +181,8 @@ def test_a_key_without_strength_is_full(tmp_path, suffix, last):
         ([KEYS[0], {**KEYS[1], "emotion": "joy"}], ["key 2", "unknown emotion 'joy'", "happy"]),
         ([{"time": 1.0, "emotion": "happy", "weight": 0.5}], ["key 1", "no 'strength'"]),
         ([{"emotion": "sad", "strength": 1}], ["key 1", "no 'time'"]),
+        ([{"time": 0, "happy": 0.5, "angri": 0.5}], ["key 1", "'angri'", "no emotion", "contempt"]),
+        ([{"time": 0, "happy": 1, "strength": 0.5}], ["key 1", "'strength'"]),
         ([], ["holds no keys"]),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,14 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
-from deitalk.postprocess.edges import LONGEST_QUIET, Edge, edge_of
+from deitalk.postprocess.edges import (
+    LONGEST_QUIET,
+    TAKE_CURVES,
+    TAKE_SOUND,
+    Edge,
+    edge_of,
+    opened_take,
+)
 from deitalk.postprocess.joins import HEAD_FRAMES, lead
 from rig import RigCurves, default_controls
 from rig.errors import UserError
@@ -163,10 +171,12 @@ def test_lips_that_meet_in_the_passage_meet(rng):
 def test_every_form_of_a_take_has_one_edge(first, tmp_path):
     folder = first.save(tmp_path / "take")
     shutil.make_archive(str(tmp_path / "take"), "zip", folder)
+    shutil.make_archive(str(tmp_path / "in_folder"), "zip", tmp_path, "take")
     wanted = edge_of(first, "after", last=True)
     archive, content = tmp_path / "take.zip", tmp_path / "edge.json"
     content.write_text(str(wanted))
-    for given in (str(folder), folder, archive, content, str(wanted), wanted.content, wanted):
+    forms = (archive, tmp_path / "in_folder.zip", content, str(wanted), wanted.content, wanted)
+    for given in (str(folder), folder, *forms):
         found = edge_of(given, "after", last=True)
         assert found.traits == pytest.approx(wanted.traits, abs=1e-5)
         assert found.quiet == pytest.approx(wanted.quiet, abs=1e-3)
@@ -229,6 +239,32 @@ def test_damaged_archive_is_refused_in_one_line(content, tmp_path):
     path.write_bytes(content)
     with one_line(DataError, match="take"):
         edge_of(path, "after", last=True)
+
+
+@pytest.mark.parametrize(
+    ("entries", "read"),
+    [
+        (("curves.json", "audio.wav"), {"curves.json": "curves.json", "audio.wav": "audio.wav"}),
+        (("a/b/curves.json", "a/b/old/curves.json", "a/audio.wav", "__MACOSX/a/b/._curves.json"),
+         {"curves.json": "a/b/curves.json"}),
+        (("curves.json", "old/curves.json", "old/audio.wav"), {"curves.json": "curves.json"}),
+        (("audio.wav",), {}),
+        (("a/curves.json", "b/curves.json"), "2 takes: a, b;"),
+        (("a/curves.json", "../curves.json", "/curves.json"), "takes"),
+    ],
+)  # fmt: skip
+def test_take_in_an_archive_lies_in_its_outermost_folder(entries, read, tmp_path):
+    """Each file's content is its own name."""
+    path = tmp_path / "take.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for entry in entries:
+            archive.writestr(entry, entry)
+    if isinstance(read, str):
+        with one_line(DataError, match=read), opened_take(path, (TAKE_CURVES, TAKE_SOUND)):
+            pass
+        return
+    with opened_take(path, (TAKE_CURVES, TAKE_SOUND)) as folder:
+        assert {file.name: file.read_text() for file in folder.iterdir()} == read
 
 
 def test_empty_folder_is_no_take(tmp_path):
