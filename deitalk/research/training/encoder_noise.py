@@ -33,11 +33,10 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import WhisperConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.errors import DeitalkError
 from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
 from deitalk.frontends.strided import LARGEST
 from deitalk.frontends.whisper import WhisperFrontend, encoder_weights, scaled
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from deitalk.research.training.surroundings import read_surroundings
@@ -194,6 +193,7 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
             yield step + 1, float(np.mean(losses[-REPORT_STEPS:]))
 
 
+@one_line_errors
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.encoder_noise")
@@ -209,21 +209,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "-o", "--out", type=new_file, required=True, help="weights: FILE.safetensors"
     )
     given = parser.parse_args(arguments)
-    try:
-        every = [recording for folder in given.speech for recording in recordings(folder)]
-        paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
-        config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
-        task = EncoderNoise(config, paths, read_surroundings(given.noise, given.rooms), given.seed)
-        if given.start:
-            wanted = task.student.encoder.state_dict()
-            task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))
-        begun = time.monotonic()
-        for step, loss in train(task, given.out, given.steps):
-            seconds = time.monotonic() - begun
-            print(f"step {step}: loss {loss:.4f}, {seconds:.0f} s", flush=True)  # noqa: T201
-    except DeitalkError as error:
-        sys.exit(str(error))
+    every = [recording for folder in given.speech for recording in recordings(folder)]
+    paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
+    config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
+    task = EncoderNoise(config, paths, read_surroundings(given.noise, given.rooms), given.seed)
+    if given.start:
+        wanted = task.student.encoder.state_dict()
+        task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))
+    begun = time.monotonic()
+    for step, loss in train(task, given.out, given.steps):
+        seconds = time.monotonic() - begun
+        print(f"step {step}: loss {loss:.4f}, {seconds:.0f} s", flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

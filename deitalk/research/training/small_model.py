@@ -38,7 +38,7 @@ from deitalk.audio.running_level import levelled
 from deitalk.config.curves import Config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import ConfigError, DataError, DeitalkError
+from deitalk.errors import ConfigError, DataError
 from deitalk.frontends.causal_whisper import PERIOD, CausalWhisperFrontend
 from deitalk.frontends.strided import MOMENTUM
 from deitalk.frontends.whisper import LogMel
@@ -46,6 +46,7 @@ from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.device import require_device
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, LipReadout
+from deitalk.research.arguments import one_line_errors
 from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
@@ -702,6 +703,7 @@ def whole(least: int, text: str) -> int:
     return int(text)
 
 
+@one_line_errors
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     usual = Size()
@@ -740,11 +742,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("-o", "--out", type=Path, required=True, help="model folder")
     given = parser.parse_args(arguments)
-    try:
-        train(given)
-    except DeitalkError as error:
-        sys.exit(str(error))
+    train(given)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
