@@ -1,14 +1,13 @@
 """Jobs: results, progress, cancelling, idempotency, restarts."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.api.conftest import bearer, wav
-from tests.api.kill import frozen, run
+from tests.api.kill import frozen, run, wait
 from tests.api.server import wait_for
 
 LONG = wav(6.0)
@@ -17,16 +16,6 @@ LONG = wav(6.0)
 def submit(client, recording=LONG, headers=None, **data):
     files = {"recording": ("speech.wav", recording)}
     return client.post("/v1/jobs", files=files, data=data, headers=headers or {})
-
-
-def wait(client, job_id, seconds=120.0, headers=None):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        job = client.get(f"/v1/jobs/{job_id}", headers=headers).json()
-        if job["status"] in ("done", "failed", "cancelled"):
-            return job
-        time.sleep(0.1)
-    raise AssertionError(job)
 
 
 def test_long_recording_becomes_a_job_with_the_same_result(client):
