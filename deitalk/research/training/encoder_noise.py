@@ -51,13 +51,14 @@ CLEAN_SHARE = 0.2
 RATE = 2e-4
 WARM_STEPS = 50
 CAUSAL_ROWS = 4
-"""Of a batch; the others are read whole."""
+"""Rows of a batch that are read as a stream; the others are read whole."""
 CAUSAL_GAIN_DB = 4.0
 """A running level differs from that of the recording by up to this."""
 MOTION_WEIGHT = 2.0
-"""Of the distance between neighbouring features: speaker and room change slowly, lips fast."""
+"""Weight of the distance between neighbouring features: speaker and room change slowly, lips
+fast."""
 AVERAGE = 0.995
-"""Of the moving mean of the weights, which is kept."""
+"""Factor of the moving mean of the weights, which is kept."""
 STATISTICS_BATCHES = 12
 REPORT_STEPS = 50
 

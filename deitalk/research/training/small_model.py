@@ -56,11 +56,11 @@ from rig.arrays import Float32
 from rig.files.folder import check_folder
 
 RATE, DECAY, BETAS, CLIP = 1.5e-3, 0.02, (0.9, 0.98), 1.0
-"""Of AdamW: largest rate, weight decay, betas and largest norm of the gradient."""
+"""Settings of AdamW: largest rate, weight decay, betas and largest norm of the gradient."""
 WARM_SHARE = 0.04
-"""Of the steps: the rate rises in them, and falls as a cosine in the others."""
+"""Share of the steps in which the rate rises; it falls as a cosine in the others."""
 AVERAGE = 0.999
-"""Of the moving mean of the weights, which is kept."""
+"""Factor of the moving mean of the weights, which is kept."""
 STATISTICS_CHUNKS, STATISTICS_WINDOWS = 4, 128
 """What the norms of the mean weights are measured on at the end."""
 REPORT_STEPS = 500
@@ -69,7 +69,7 @@ VALIDATION_WINDOWS, VALIDATION_RECORDINGS = 192, 70
 PART = 64
 """Windows that are changed, or heard by the teacher, at once."""
 LEVEL_DB = -23.0
-"""Of speech without its pauses."""
+"""Level of speech without its pauses."""
 SPEED = 1.22
 """Largest factor of the speed, and its inverse the least."""
 MARGIN = 4800
@@ -94,7 +94,7 @@ HEAVY = {
 OTHERS = 0.7
 """Weight of all other controls."""
 CONTACT_WEIGHTS = (4.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-"""Of `CHANNELS`, in their cross entropy."""
+"""Weights of `CHANNELS` in their cross entropy."""
 
 
 class Size(NamedTuple):

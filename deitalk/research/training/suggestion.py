@@ -69,7 +69,7 @@ PLACES = {
 COPIES = 2
 """Altered copies of an actor's recording; a reader's has one."""
 SPEEDS = (0.85, 1.18)
-"""Of copies: pitch and formants with the rate."""
+"""Range of the speed of copies: pitch and formants change with it."""
 CODED_SHARE = 0.4
 CODECS = (
     ("MP3", "MPEG_LAYER_III"), ("OGG", "VORBIS"), ("OGG", "OPUS"), ("WAV", "ULAW"),
@@ -82,12 +82,13 @@ READERS_WEIGHT = 0.2
 """Weight of all readers over that of all actors."""
 NEUTRAL_READERS = 0.965
 LONGEST_SECONDS = 5.0
-"""Of a reader's recording; actors speak two seconds, and a window of the track has three."""
+"""Length that is read of a reader's recording; actors speak two seconds, and a window of the track
+has three."""
 EVERY = 8
-"""Of the readers' recordings every so-manieth is read."""
+"""Step between the readers' recordings that are read."""
 FOLDS = 5
 BINS = 10
-"""Of probabilities, in the calibration error."""
+"""Bins of probabilities in the calibration error."""
 TEST = "test"
 
 

@@ -56,7 +56,7 @@ from rig.files import atomic_write
 
 STEPS, LEARNING_RATE, WEIGHT_DECAY = 1200, 2e-3, 0.05
 CHAPTERS, PIECES, ACTORS_AT_ONCE = 4, 8, 3
-"""Of one step: chapters, pieces of each, actors with all of their clips."""
+"""Contents of one step: chapters, pieces of each, actors with all of their clips."""
 SHORTEST, LONGEST, ACTED = 60, 240, 200
 """Frames of a reader's piece, and at most of an actor's."""
 EQUALISATION = np.array([0.25, 0.2, 0.15, 0.15])
