@@ -10,9 +10,7 @@ from rig.errors import ExistsError, TargetError, UserError, one_line
 from rig.files import check_file
 
 
-def one_line_errors(
-    main: Callable[[Sequence[str] | None], int | None],
-) -> Callable[[Sequence[str] | None], int]:
+def one_line_errors(main: Callable[[Sequence[str] | None], int | None]) -> Callable[..., int]:
     """Wrap a command: what a user can correct is one line on stderr and exit code 1."""
 
     @wraps(main)
