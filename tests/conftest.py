@@ -2,7 +2,9 @@
 
 import gc
 import os
+import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from copy import deepcopy
@@ -33,6 +35,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's backgro
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 """Development data beside the checkout (speech, captured curves, meshes); may be absent."""
+
+
+@pytest.fixture
+def disk(tmp_path) -> Iterator[Path]:
+    """A file system of 64 MiB; skipped where none can be mounted."""
+    folder, mount = tmp_path / "disk", shutil.which("mount")
+    folder.mkdir()
+    command = [mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder]
+    if mount is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a tmpfs (root on Linux)")
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=False)
 
 
 @pytest.fixture

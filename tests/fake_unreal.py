@@ -16,6 +16,7 @@ import wave
 from bisect import bisect_right
 from fractions import Fraction
 from types import ModuleType
+from typing import ClassVar
 
 from tests.unreal_live_link import import_csv
 
@@ -29,6 +30,27 @@ def check_list(values, kind, what):
     check(values, list, what)
     for value in values:
         check(value, kind, what)
+
+
+class Accessors:
+    """An object of Unreal's: ``get_x()`` gives its attribute x, a property has a type."""
+
+    properties: ClassVar = {}
+    """Types of what `set_editor_property` may set."""
+
+    def __getattr__(self, name):
+        attribute = name.removeprefix("get_")
+        if attribute == name or attribute not in vars(self):
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        return lambda: vars(self)[attribute]
+
+    def set_editor_property(self, name, value):
+        check(value, self.properties[name], name)
+        setattr(self, name, value)
+
+    def get_editor_property(self, name):
+        assert name in self.properties
+        return getattr(self, name)
 
 
 class FrameRate:
@@ -77,19 +99,11 @@ class RigElementKey:
         self.type, self.name = type, name
 
 
-class DataModel:
-    def __init__(self, controller):
-        self.controller = controller
-
-    def get_frame_rate(self):
-        return self.controller.rate
-
-
-class Controller:
+class Controller(Accessors):
     def __init__(self):
         self.depth = self.n_brackets = self.n_transactions = 0
-        self.rate, self.n_frames = FrameRate(30, 1), 1
-        self.errors = []
+        self.frame_rate, self.n_frames = FrameRate(30, 1), 1
+        self.errors, self.model_interface = [], self
 
     def open_bracket(self, title, should_transact=True):
         check(title, str, "title")
@@ -102,16 +116,13 @@ class Controller:
         self.depth -= 1
         self.n_transactions -= should_transact
 
-    def get_model_interface(self):
-        return DataModel(self)
-
     def set_frame_rate(self, frame_rate, should_transact=True):
         check(frame_rate, FrameRate, "frame_rate")
         assert max(frame_rate.numerator, frame_rate.denominator) < 2**31
         ratio = Fraction(frame_rate.numerator, frame_rate.denominator)
-        ratio /= Fraction(self.rate.numerator, self.rate.denominator)
+        ratio /= Fraction(self.frame_rate.numerator, self.frame_rate.denominator)
         if 1 in (ratio.numerator, ratio.denominator):
-            self.rate = frame_rate
+            self.frame_rate = frame_rate
         else:
             self.errors.append("Incompatible frame rate provided: not a multiple or factor")
 
@@ -121,19 +132,14 @@ class Controller:
         self.n_frames = new_length_in_frames.value
 
 
-class AnimSequence:
-    path = ""
-
-    def __init__(self):
+class AnimSequence(Accessors):
+    def __init__(self, path_name=""):
         self.controller = Controller()
-        self.curves = {}
+        self.curves, self.path_name = {}, path_name
 
     def get_play_length(self):
-        rate = self.controller.rate
+        rate = self.controller.frame_rate
         return self.controller.n_frames * rate.denominator / rate.numerator
-
-    def get_path_name(self):
-        return self.path
 
 
 class AnimationLibrary:
@@ -151,10 +157,7 @@ class AnimationLibrary:
         check_list(times, float, "times")
         check_list(values, float, "values")
         assert len(times) == len(values) and curve_name in sequence.curves
-        end = sequence.controller.n_frames * (
-            sequence.controller.rate.denominator / sequence.controller.rate.numerator
-        )
-        assert max(times) <= end + 1e-6, "a key after the end"
+        assert max(times) <= sequence.get_play_length() + 1e-6, "a key after the end"
         sequence.curves[curve_name] = (times, values)
 
     @classmethod
@@ -170,8 +173,7 @@ class AnimationLibrary:
 
     @classmethod
     def get_sequence_length(cls, animation_sequence_base):
-        rate = animation_sequence_base.controller.rate
-        return animation_sequence_base.controller.n_frames * rate.denominator / rate.numerator
+        return animation_sequence_base.get_play_length()
 
 
 class AnimSequenceFactory:
@@ -209,8 +211,7 @@ class AssetTools:
         else:
             assert asset_class is AnimSequence
             assert factory.properties["target_skeleton"] is not None
-            asset = AnimSequence()
-            asset.path = f"{path}.{asset_name}"
+            asset = AnimSequence(f"{path}.{asset_name}")
         self.module.assets[path] = asset
         return asset
 
@@ -282,7 +283,7 @@ class RichCurveTangentWeightMode:
     RCTWM_WEIGHTED_NONE = "none"
 
 
-class Key:
+class Key(Accessors):
     """Slopes are per tick of the sequence's resolution, as its channels evaluate them."""
 
     def __init__(self, frame, value):
@@ -310,16 +311,10 @@ class Key:
         assert time_unit.endswith(".DISPLAY_RATE")
         return FrameTime(self.frame)
 
-    def get_value(self):
-        return self.value
 
-
-class Channel:
+class Channel(Accessors):
     def __init__(self, name):
         self.name, self.keys, self.n_calls = name, [], 0
-
-    def get_name(self):
-        return self.name
 
     def get_keys(self):
         return list(self.keys)
@@ -375,16 +370,10 @@ class ControlRigTrack:
         raise AssertionError("the track has a section")
 
 
-class ControlRig:
+class ControlRig(Accessors):
     def __init__(self, name, controls):
-        self.name, self.controls = name, controls
+        self.name, self.controls, self.hierarchy = name, controls, Hierarchy(controls)
         self.section = ControlRigSection(controls)
-
-    def get_name(self):
-        return self.name
-
-    def get_hierarchy(self):
-        return Hierarchy(self.controls)
 
     def keys(self, channel):
         """Keys of a channel for tests, as (frames, values)."""
@@ -397,29 +386,20 @@ class Proxy:
         self.control_rig, self.track = rig, ControlRigTrack(rig)
 
 
-class AssetImportData:
-    def __init__(self, path):
-        self.path = path
-
-    def get_first_filename(self):
-        return self.path
+class AssetImportData(Accessors):
+    def __init__(self, first_filename):
+        self.first_filename = first_filename
 
 
-class SoundWave:
+class SoundWave(Accessors):
+    properties: ClassVar = {"duration": float, "asset_import_data": AssetImportData}
+
     def __init__(self, name, path=None, duration=1.0):
         self.name, self.path, self.duration = name, path, duration
-
-    def get_name(self):
-        return self.name
-
-    def get_editor_property(self, name):
-        if name == "duration":
-            return self.duration
-        assert name == "asset_import_data"
-        return None if self.path is None else AssetImportData(self.path)
+        self.asset_import_data = None if path is None else AssetImportData(path)
 
 
-class Section:
+class Section(Accessors):
     """A section with a range in frames of the display rate, its end exclusive."""
 
     start = stop = None
@@ -446,12 +426,10 @@ class Section:
 
 
 class MovieSceneAudioSection(Section):
+    properties: ClassVar = {"sound": SoundWave}
+
     def __init__(self, sound=None, start=None):
         self.sound, self.start = sound, start
-
-    def get_editor_property(self, name):
-        assert name == "sound"
-        return self.sound
 
     def set_sound(self, sound):
         check(sound, SoundWave, "sound")
@@ -479,11 +457,11 @@ class MovieSceneAudioTrack(Track):
     kind = MovieSceneAudioSection
 
 
-class LevelSequence:
+class LevelSequence(Accessors):
     def __init__(self, rigs, rate=(30, 1), *, name="LS_take", audio=(), playback=(0, 0)):
-        self.rigs, self.rate, self.name = rigs, FrameRate(*rate), name
-        self.audio, self.playback = list(audio), playback
-        self.bindings = []
+        self.rigs, self.display_rate, self.name = rigs, FrameRate(*rate), name
+        self.audio, self.bindings, self.tick_resolution = list(audio), [], FrameRate(24000, 1)
+        self.playback_start, self.playback_end = playback
 
     def add_track(self, track_type):
         assert track_type is MovieSceneAudioTrack
@@ -492,30 +470,15 @@ class LevelSequence:
 
     def set_display_rate(self, display_rate):
         check(display_rate, FrameRate, "display_rate")
-        self.rate = display_rate
+        self.display_rate = display_rate
 
     def set_playback_start(self, start_frame):
         check(start_frame, int, "start_frame")
-        self.playback = (start_frame, self.playback[1])
+        self.playback_start = start_frame
 
     def set_playback_end(self, end_frame):
         check(end_frame, int, "end_frame")
-        self.playback = (self.playback[0], end_frame)
-
-    def get_display_rate(self):
-        return self.rate
-
-    def get_tick_resolution(self):
-        return FrameRate(24000, 1)
-
-    def get_name(self):
-        return self.name
-
-    def get_playback_start(self):
-        return self.playback[0]
-
-    def get_playback_end(self):
-        return self.playback[1]
+        self.playback_end = end_frame
 
     def find_tracks_by_type(self, track_type):
         assert track_type is MovieSceneAudioTrack

@@ -7,8 +7,10 @@ derives from Object and has properties of Unreal's types; a binding of a compone
 its objects are found in the context of the parent's actor.
 """
 
+from typing import ClassVar
+
 from tests import fake_unreal
-from tests.fake_unreal import LevelSequence, Section, Track, check
+from tests.fake_unreal import Accessors, LevelSequence, Section, Track, check
 
 
 class Object:
@@ -31,13 +33,9 @@ class EnumValue:
         self.name = name
 
 
-class FilePath:
-    def __init__(self):
-        self.path = ""
-
-    def get_editor_property(self, name):
-        assert name == "file_path"
-        return self.path
+class FilePath(Accessors):
+    properties: ClassVar = {"file_path": str}
+    file_path = ""
 
 
 class Property:
@@ -86,77 +84,48 @@ def new_object(type, outer=None, name="None"):
     return made
 
 
-class Asset:
-    def __init__(self, path, **properties):
-        self.path, self.properties = path, properties
+class Asset(Accessors):
+    properties: ClassVar = {"skeleton": object}
 
-    def get_path_name(self):
-        return f"{self.path}.{self.path.rsplit('/', 1)[-1]}"
-
-    def get_editor_property(self, name):
-        return self.properties[name]
+    def __init__(self, path, skeleton=None):
+        self.path_name, self.skeleton = f"{path}.{path.rsplit('/', 1)[-1]}", skeleton
 
 
-class SkeletalMeshComponent:
+class SkeletalMeshComponent(Accessors):
     def __init__(self, name, skeleton="/Game/MetaHumans/Common/Face/Face_Archetype_Skeleton"):
         self.name, self.owner = name, None
-        self.mesh = Asset("/Game/Face", skeleton=Asset(skeleton))
-
-    def get_name(self):
-        return self.name
-
-    def get_owner(self):
-        return self.owner
-
-    def get_skeletal_mesh_asset(self):
-        return self.mesh
+        self.skeletal_mesh_asset = Asset("/Game/Face", Asset(skeleton))
 
     def set_anim_instance_class(self, new_class):
-        self.instance = new_class()
-
-    def get_anim_instance(self):
-        return self.instance
+        self.anim_instance = new_class()
 
     def set_update_animation_in_editor(self, new_update_state):
         self.updates = new_update_state
 
 
-class LiveLinkSubjectName:
+class LiveLinkSubjectName(Accessors):
+    properties: ClassVar = {"name": str}
+
     def __init__(self, name="None"):
-        fake_unreal.check(name, str, "name")
+        check(name, str, "name")
         self.name = name
 
-    def get_editor_property(self, name):
-        return {"name": self.name}[name]
 
-
-class LiveLinkBlueprint:
+class LiveLinkBlueprint(Accessors):
     """An instance of ABP_MH_LiveLink, with the one variable that its users set."""
 
-    subject = LiveLinkSubjectName()
-
-    def set_editor_property(self, name, value):
-        fake_unreal.check(value, LiveLinkSubjectName, name)
-        assert name == "LLink_Face_Subj"
-        self.subject = value
-
-    def get_editor_property(self, name):
-        return {"LLink_Face_Subj": self.subject}[name]
+    properties: ClassVar = {"LLink_Face_Subj": LiveLinkSubjectName}
+    LLink_Face_Subj = LiveLinkSubjectName()
 
 
-class Actor:
-    world = object()
+WORLD = object()
 
+
+class Actor(Accessors):
     def __init__(self, label, *components):
-        self.label, self.components = label, components
+        self.actor_label, self.components, self.world = label, components, WORLD
         for component in components:
             component.owner = self
-
-    def get_actor_label(self):
-        return self.label
-
-    def get_world(self):
-        return self.world
 
     def get_components_by_class(self, component_class):
         return [c for c in self.components if isinstance(c, component_class)]
@@ -167,52 +136,34 @@ def metahuman(label, skeleton="/Game/MetaHumans/Common/Face/Face_Archetype_Skele
     return Actor(label, body, SkeletalMeshComponent("Face", skeleton))
 
 
-class MovieSceneSkeletalAnimationParams:
+class MovieSceneSkeletalAnimationParams(Accessors):
+    properties: ClassVar = {"animation": fake_unreal.AnimSequence}
     animation = None
-
-    def set_editor_property(self, name, value):
-        assert name == "animation"
-        check(value, fake_unreal.AnimSequence, "animation")
-        self.animation = value
-
-    def get_editor_property(self, name):
-        assert name == "animation"
-        return self.animation
 
 
 class AnimationSection(Section):
+    properties: ClassVar = {"params": MovieSceneSkeletalAnimationParams}
+
     def __init__(self):
         self.params = MovieSceneSkeletalAnimationParams()
-
-    def get_editor_property(self, name):
-        assert name == "params"
-        return self.params
-
-    def set_editor_property(self, name, value):
-        assert name == "params"
-        check(value, MovieSceneSkeletalAnimationParams, "params")
-        self.params = value
 
 
 class MovieSceneSkeletalAnimationTrack(Track):
     kind = AnimationSection
 
 
-class Binding:
+class Binding(Accessors):
     def __init__(self, target):
-        self.target, self.parent, self.children, self.tracks = target, None, [], []
+        self.target, self.parent, self.tracks, self.child_possessables = target, None, [], []
 
     def get_display_name(self):
         is_actor = isinstance(self.target, Actor)
-        return self.target.label if is_actor else self.target.name
+        return self.target.actor_label if is_actor else self.target.name
 
     def set_parent(self, parent_binding):
         check(parent_binding, Binding, "parent_binding")
         self.parent = parent_binding
-        parent_binding.children.append(self)
-
-    def get_child_possessables(self):
-        return list(self.children)
+        parent_binding.child_possessables.append(self)
 
     def find_tracks_by_type(self, track_type):
         return [track for track in self.tracks if isinstance(track, track_type)]
@@ -231,12 +182,9 @@ class SceneSequence(LevelSequence):
         self.bindings.append(Binding(object_to_possess))
         return self.bindings[-1]
 
-    def get_bindings(self):
-        return list(self.bindings)
-
     def locate_bound_objects(self, binding, context):
         check(binding, Binding, "binding")
-        expected = Actor.world if binding.parent is None else binding.parent.target
+        expected = WORLD if binding.parent is None else binding.parent.target
         return [binding.target] if context is expected else []
 
 

@@ -6,7 +6,6 @@ Each command writes to a tmpfs with space for a share of its files.
 import hashlib
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -29,20 +28,6 @@ from tests.meshes import write_obj
 PAGE = 4096  # bytes; the block of a tmpfs
 SHARES = {True: (0.0, 0.9), False: (0.3,)}
 """Space for parts of the files, over those that exist (`--force`), then without them."""
-
-
-@pytest.fixture(scope="module")
-def disk(tmp_path_factory):
-    """A small file system; skipped where none can be mounted."""
-    folder = tmp_path_factory.mktemp("disk")
-    mount = shutil.which("mount")
-    done = mount and subprocess.run(
-        [mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder], capture_output=True, check=False
-    )
-    if not done or done.returncode:
-        pytest.skip("needs the right to mount a tmpfs (root on Linux)")
-    yield folder
-    subprocess.run(["umount", folder], check=False)
 
 
 @pytest.fixture(scope="module")

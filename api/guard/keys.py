@@ -48,7 +48,7 @@ class Caller:
 
     @property
     def holder(self) -> str:
-        """Whose requests are counted together: the key's, or the address's without keys."""
+        """Name under which requests are counted: the key's, or without keys the address's."""
         return f"address {self.address}" if self.address else f"key {self.name}"
 
 

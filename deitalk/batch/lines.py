@@ -109,7 +109,7 @@ class Line:
     acting: Acting = field(default_factory=Acting)
     written: Written = field(default_factory=Written)
     choice: AudioChoice = field(default_factory=AudioChoice)
-    """Which signal of the recording."""
+    """Track, channel and raw form of the recording that are read."""
     actor: str = ""
     """Who speaks; lines of one actor share a reference. Empty: nobody in particular."""
     dubbing: Dubbing | None = None

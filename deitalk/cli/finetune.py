@@ -6,6 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console, emit
+from deitalk.cli.options import (
+    Base,
+    LeaveOut,
+    Overrides,
+    Recipe,
+    Resume,
+    RigFile,
+    RigMap,
+    Strict,
+    Track,
+)
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
@@ -31,50 +42,21 @@ def shown_on(advance: "Advance") -> "Progress":
 def finetune(
     data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
-    base: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            help="Model to tune: default, a folder, or org/name on the hub.",
-        ),
-    ] = None,
-    recipe: Annotated[
-        Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
-    ] = None,
-    rig: Annotated[
-        str | None,
-        typer.Option(
-            "--rig", help="YAML of a rig other than the MetaHuman board; by default DATA/rig.yaml."
-        ),
-    ] = None,
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            "--map", help="Table of the rig's curves to the board, which carries emotions to it."
-        ),
-    ] = None,
+    base: Base = None,
+    recipe: Recipe = None,
+    rig: RigFile = None,
+    mapping: RigMap = None,
     part: Annotated[
         str | None, typer.Option("--tune", help="What train.steps change: head, decoder or all.")
     ] = None,
     rehearse: Annotated[
         str | None, typer.Option("--rehearse", help="Dataset folder whose speech holds the base.")
     ] = None,
-    leave_out: Annotated[
-        str | None, typer.Option("--leave-out", help="Take or actor to test on, not to train on.")
-    ] = None,
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 3 where loudness predicts as well.")
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
-    ] = False,
-    track: Annotated[
-        list[str] | None,
-        typer.Option("--track", help="Also log to tensorboard (in OUT), wandb or mlflow."),
-    ] = None,
+    leave_out: LeaveOut = None,
+    overrides: Overrides = None,
+    strict: Strict = False,
+    resume: Resume = False,
+    track: Track = None,
 ) -> None:
     """Tune a model on captures of an actor or of another rig; the result is OUT/best.
 

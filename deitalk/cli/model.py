@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import CheckedCommands, share_of
+from deitalk.cli.options import CheckedCommands, ForceFolder, share_of
 from deitalk.cli.targets import reserve_file, reserve_folder
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
@@ -31,7 +31,7 @@ def export(
         str, typer.Option(help="Weights of the .onnx file: float32, or float16 of half the size.")
     ] = "float32",
     data: Annotated[str, typer.Option(help="Description of the training data.")] = "",
-    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+    force: ForceFolder = False,
 ) -> None:
     """Write a model for distribution: a folder in half precision, or an ONNX file.
 
@@ -81,7 +81,7 @@ def mix(
     share: Annotated[
         float, typer.Option(parser=share_of, help="Of the second model's weights; 0 is the first.")
     ] = 0.5,
-    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+    force: ForceFolder = False,
 ) -> None:
     """Write a model between two of the same network: a part of what a training changed.
 
@@ -113,7 +113,7 @@ def fit(
     model: Annotated[str, typer.Argument(help="Model, such as runs/anna/best.")],
     data: Annotated[Path, typer.Argument(help="Dataset folder of seconds of a take.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+    force: ForceFolder = False,
 ) -> None:
     """Write a model whose face without a name is that of a take: nearest style, gains, offsets.
 
@@ -146,7 +146,7 @@ def score(
     model: Annotated[str, typer.Argument(help="Model of any rig, such as runs/anna/best.")],
     data: Annotated[Path, typer.Argument(help="Dataset folder of captures it never saw.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the report.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+    force: ForceFolder = False,
 ) -> None:
     """Score a tuned model on new captures, beside their mean pose and loudness.
 

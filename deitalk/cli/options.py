@@ -196,4 +196,40 @@ MeshOut = Annotated[
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
+ForceFolder = Annotated[bool, typer.Option("--force", help="Replace the folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
+]
+Track = Annotated[
+    list[str] | None,
+    typer.Option("--track", help="Also log to tensorboard (in OUT), wandb or mlflow."),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Exit code 3 where loudness predicts as well.")
+]
+Base = Annotated[
+    str | None,
+    typer.Option("--from", help="Model to tune: default, a folder, or org/name on the hub."),
+]
+Recipe = Annotated[
+    Path | None, typer.Option("--recipe", help="YAML, such as configs/finetune.yaml.")
+]
+RigFile = Annotated[
+    str | None,
+    typer.Option(
+        "--rig", help="YAML of a rig other than the MetaHuman board; by default DATA/rig.yaml."
+    ),
+]
+RigMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map", help="Table of the rig's curves to the board, which carries emotions to it."
+    ),
+]
+LeaveOut = Annotated[
+    str | None, typer.Option("--leave-out", help="Take or actor to test on, not to train on.")
+]

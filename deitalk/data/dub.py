@@ -447,7 +447,7 @@ class _Clock:
         return piece, round(last, 6)
 
     def _join(self, frame: int, before: float) -> None:
-        """After a frame, come from a place of the performance that does not follow."""
+        """Join a frame to the one before, which is from another place of the performance."""
         stop = min(frame + JOIN_FRAMES, self.n_new)
         self._joins.append((frame, np.arange(stop - frame) + np.float64(before)))
         self.exact[frame:stop] = False

@@ -142,7 +142,7 @@ class ClipSignals:
     captured: Float32
     """[shape=(G, T)]; groups that the source cannot know are 0."""
     wanted: Float32
-    """Of a model's curves of the sound."""
+    """The same of a model's curves of the sound [shape=(G, T)]."""
 
 
 def clip_signals(

@@ -40,7 +40,7 @@ from rig.arrays import Float32
 from rig.files import atomic_write
 
 SHOWN_SECONDS = 8.0
-"""Of longer clips the beginning is shown."""
+"""Length that is shown of a clip, from its beginning."""
 COLOURS = {"before": "C0", "after": "C3"}
 
 

@@ -49,7 +49,7 @@ QUIET_ROWS = 5
 """Frames of a quiet room before the first one: until 1.5 s of sound they are the floor."""
 FLOOR_FRAMES = round(FLOOR_SECONDS * FRAME_RATE)
 LOUDEST_PERCENTILE, LOUD_PERCENTILE = 98.0, 95.0
-"""Of the loudest band of each frame, and of how far frames are above the noise."""
+"""Percentiles of the loudest band of each frame, and of the distance to the noise."""
 
 
 class ActivityState(NamedTuple):
@@ -61,13 +61,13 @@ class ActivityState(NamedTuple):
     excess: Array
     """How far they were above the noise, dB [shape=(B, `FLOOR_FRAMES`)]."""
     floor: Array
-    """Of each band [shape=(B, K)]."""
+    """Noise in each band, dB [shape=(B, K)]."""
     gap: Array
     """Longest gap that is no pause, of the last frames and now [shape=(B, `ahead` + 1)]."""
     frames: Array
     """Frames since the floor was measured [shape=(B,)]."""
     on: Array
-    """Which of the last frames are speech, 1 or 0 [shape=(B, P)]."""
+    """1 where one of the last frames is speech, else 0 [shape=(B, P)]."""
     silent: Array
     """Frames since the last speech, at the frame whose gates came last [shape=(B,)]."""
     share: Array

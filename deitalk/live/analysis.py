@@ -24,7 +24,7 @@ class FrameMeasures(NamedTuple):
     """Measures of the sound of frames."""
 
     levels: Array
-    """Of the bands, dB [shape=(B, n, K)]."""
+    """Levels of the bands, dB [shape=(B, n, K)]."""
     tones: Array
     """Tonality [shape=(B, n)]."""
     prosody: Array

@@ -60,7 +60,7 @@ class CueState(NamedTuple):
     """State of streams between two calls."""
 
     means: Float64
-    """Of level, pitch and sonority in speech [shape=(B, 3)]."""
+    """Means of level, pitch and sonority in speech [shape=(B, 3)]."""
     weights: Float64
     """Frames that they count for."""
     peaks: Float64
@@ -73,7 +73,7 @@ class CueState(NamedTuple):
     loudest: Float64
     """Loudest sonority, which falls slowly [shape=(B,)]."""
     frame: Int64
-    """That comes next [shape=(B,)]."""
+    """Number of the next frame [shape=(B,)]."""
     begun: Int64
     """First of the phrase, or `NONE` [shape=(B,)]."""
     spoken: Int64

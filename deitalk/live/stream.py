@@ -116,7 +116,7 @@ class Stream:
         """Frame that the rules give next."""
         self.n_total: int | None = None
         self.frames: list[tuple[Float32, Float32]] = []
-        """That were given and not collected, with their tracks of the head."""
+        """Frames that were finished and not collected, with their tracks of the head."""
         self.shut: tuple[int, int] | None = None
         """First frame of a mouth that is interrupted, and that of the sound that comes after."""
         self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))

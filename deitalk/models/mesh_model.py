@@ -107,7 +107,7 @@ class FeatureChunk(NamedTuple):
     places: Tensor
     """Spectrum of every frame, context included."""
     kept: slice
-    """Those of `places` that are not context."""
+    """Frames of `places` that are not context."""
 
 
 class MeshModel(nn.Module):

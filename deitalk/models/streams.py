@@ -13,7 +13,7 @@ from deitalk.models.protocol import NetworkRows, SpectraGrid, State
 from rig.arrays import Float32
 
 PLACE = 2
-"""Which of the state of a causal network is the number of a stream's next row (B, 1)."""
+"""Place in a causal network's state of the number of a stream's next row (B, 1)."""
 
 
 class StreamedNetwork:
@@ -22,7 +22,7 @@ class StreamedNetwork:
     grid: SpectraGrid
     actors: tuple[str, ...]
     rings: Sequence[int]
-    """Of each part of the frontend's state, as for `put`."""
+    """Length of the ring of each part of the frontend's state, as for `put`."""
 
     def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups, which change the frontend's state, the first parts, alone."""

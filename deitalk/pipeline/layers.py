@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from deitalk.postprocess.known_phones import KnownPhone
 
 BEYOND_SECONDS = 0.5
-"""By which an edit may reach beyond the recording without a note."""
+"""Time by which an edit may reach beyond the recording without a note."""
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
 

@@ -27,7 +27,7 @@ from deitalk.pipeline.speech import Speech
 from rig.arrays import Float32, Float64
 
 MODEL = "default"
-"""Whose features the map was fitted to."""
+"""Model to whose features the map was fitted."""
 WEIGHTS = "suggestion.safetensors"
 NAMED = ("neutral", "angry", "happy", "sad")
 WINDOW_SECONDS, HOP_SECONDS = 3.0, 1.0

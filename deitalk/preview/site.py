@@ -37,14 +37,14 @@ from rig.formats.livelink_csv import SUBJECT_REST
 
 WASM, MODEL, LIVE_MODEL = "ort-wasm-simd-threaded.wasm", "model.onnx", "live.onnx"
 PACKED = ".planes.gz"
-"""After the name of a model in the folder."""
+"""Suffix of a packed model in the folder."""
 SHARED_BYTES = 4096
 """Bytes of a weight from which the file of the other model is looked through for it."""
 LIVE = ("frames", "window", "before", "delay", "behind", "state")
 """Metadata of a live model that the page must know."""
 COPIED = ("engine.js", "ort.wasm.bundle.min.mjs")
 POLICY = "script-src 'self' 'unsafe-inline'"
-"""Of the page, where a module of WebAssembly and a worker are to be allowed."""
+"""Content security policy of the page, to which WebAssembly and a worker are added."""
 
 
 def export_site(

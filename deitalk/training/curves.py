@@ -39,7 +39,7 @@ class CurveTask(Task[Window]):
     config: Config
     model: DEITalk
     clips: Sequence[Clip]
-    """Those to train on."""
+    """Clips to train on."""
 
     def __init__(
         self, config: Config, data: Path, *, frozen_features: FrozenFeatures | None = None

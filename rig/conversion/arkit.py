@@ -30,7 +30,7 @@ from rig.files.reading import rows_of
 
 ARKIT_ID = "arkit-61"
 N_SHAPES = 52
-"""Of ARKit's controls; the others are angles, which few files have."""
+"""Number of ARKit's shapes; its other controls are angles, which few files have."""
 HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
 ROTATION_LIMIT = 3.2
 """Rotations are radians, within half a turn."""
@@ -45,7 +45,7 @@ FRAMES_AT_ONCE = 8192
 SMALLEST_JAW = 1e-4
 """JawOpen below which MouthClose / JawOpen is taken as 0, as Unreal's safe division does."""
 MAX_SWEEPS = 60
-"""Of coordinate descent; the worst group (Pucker, Funnel) gains a factor 3 per sweep."""
+"""Most sweeps of coordinate descent; the worst group (Pucker, Funnel) gains a factor 3 in each."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,11 +20,11 @@ CLOSE = 1e-4
 """Largest difference of a shape that is left."""
 STEPS = 12
 CHANGE = 0.02
-"""Of a control, by which its effect on the shapes is measured."""
+"""Change of a control by which its effect on the shapes is measured."""
 SMALLEST = 0.05
 """Least effect that is used, as a share of the largest."""
 HALVINGS = 3
-"""Of a step that comes no nearer."""
+"""Most halvings of a step that comes no nearer."""
 FRAMES_AT_ONCE = 512
 
 

@@ -18,7 +18,7 @@ from rig.unreal.deitalk_clip import fit_segment, split_curve
 TOLERANCE: Final = 0.01
 """How far curves with the layer may be from the edited ones."""
 NOISE_SHARE, FIT_SHARE = 0.5, 0.4
-"""Of the tolerance: what is no change, and what a cubic between keys may be off."""
+"""Shares of the tolerance: for what is no change, and for a cubic between keys."""
 GAP_SECONDS = 0.2
 """Unchanged time between two changes of a control that are one edit."""
 HEAD_UNITS = 10.0

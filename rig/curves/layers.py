@@ -39,7 +39,7 @@ MOST_EDITS = 20_000
 """Edits of one layer, and of all layers of a file."""
 MOST_LAYERS = 256
 DECIMALS = 5
-"""Of times, values and slopes, in files and in what is read."""
+"""Decimals of times, values and slopes, in files and in what is read."""
 SLACK = 1e-3
 """Seconds by which a frame may lie outside of a span: times of files are rounded."""
 SEEN = 0.01

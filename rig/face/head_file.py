@@ -26,7 +26,7 @@ GRID = 800.0
 CONVERGENCE_DEGREES = 1.6
 """Turn of each embedded eye inwards at rest: an adult's eyes meet 111 cm away."""
 PICTURES = ("atlas", "creases", "pores")
-"""Of `rig.face.mesh.Maps`: WebP files."""
+"""Parts of `rig.face.mesh.Maps` that are WebP files."""
 SMALL = "_small"
 """End of the name of an atlas of half the side."""
 FIELDS = {

@@ -49,7 +49,7 @@ def moves(head: Head, values: Float64) -> list[tuple[Int64, Float32]]:
 
 
 def _reach(head: Head) -> dict[str, tuple[Int64, Int64]]:
-    """Of each of `STEPS`: vertices (m or 1, n) any of which moves, where (m,) vertices do."""
+    """Vertices (m or 1, n) any of which moves where (m,) vertices do, of each of `STEPS`."""
     lips = np.concatenate([lip.reach for lip in head.motion.lips])
     rims = np.concatenate([lip.rim for lip in head.motion.lips])
     index = np.arange(len(head.straight))

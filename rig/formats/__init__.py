@@ -36,7 +36,7 @@ JSON_MARKS = (
 )  # fmt: skip
 """Text at the beginning of a JSON file, by which its format is recognised."""
 RHUBARB_CELLS = 2
-"""Of a line of Rhubarb's cues; a table of more is one of curves."""
+"""Cells of a line of Rhubarb's cues; a table of more is one of curves."""
 RANGE_TOLERANCE = 1e-4
 """Excess over a range that a reader clamps as rounding."""
 

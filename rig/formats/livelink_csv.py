@@ -37,7 +37,7 @@ DECIMALS = 10
 ENDINGS = ("_cal", "_raw", "_neutral")
 """Ends of file names that the importer leaves out of the subject."""
 SUFFIXES = ("livelink", "livelink-raw")
-"""Before ``.csv`` they name our format; Unreal keeps them."""
+"""Endings before ``.csv`` that name our format; Unreal keeps them."""
 SUBJECT_REST = (
     "HeadControlSwitch", "HeadRoll", "HeadPitch", "HeadYaw", "HeadTranslationX",
     "HeadTranslationY", "HeadTranslationZ", "MHFDSVersion", "DisableFaceOverride",

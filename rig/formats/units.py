@@ -98,9 +98,9 @@ def check_rate(fps: float, where: object) -> None:
 
 
 OVERSHOOT = 1.5
-"""Of the end of a range: calibrated captures exceed it by less."""
+"""Factor of the end of a range by less than which calibrated captures exceed it."""
 CLEARLY = 3.0
-"""Of the end of a range: no capture exceeds it so far."""
+"""Factor of the end of a range by which no capture exceeds it."""
 QUIET = 0.2
 """Peak from which on a column within its range may be of another unit than the others."""
 PERCENT, OVER_PERCENT, BYTE = 100.0, 130.0, 255.0

@@ -41,7 +41,7 @@ STILL_CM = 1e-3
 PICTURE = "head.png"
 KINDS = {"hair": (HAIR, FINE), "eyes": (EYE,)}
 ROUGHNESS = {"hair": HAIR_ROUGHNESS, "eyes": EYE_ROUGHNESS, "skin": SKIN_ROUGHNESS}
-"""Of the materials; what is of neither kind is skin."""
+"""Roughness of the materials; what is of neither kind is skin."""
 
 
 def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> None:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import httpx
 
@@ -115,16 +116,19 @@ def run(rounds: int, seed: int, data: Path) -> dict[str, int]:
     return kills | {"jobs": load.sent}
 
 
+def wait(client: httpx.Client, job_id: str, **given: Any) -> dict[str, Any]:
+    """Return a job once it has ended."""
+    end, path = time.monotonic() + WAIT_SECONDS, f"/v1/jobs/{job_id}"
+    while (job := client.get(path, **given).json())["status"] in ("queued", "running"):
+        assert time.monotonic() < end, job
+        time.sleep(0.2)
+    return job
+
+
 def _check(server: Server, load: Load) -> None:
-    end = time.monotonic() + WAIT_SECONDS
     with server.client() as client:
         for job_id, frames in load.frames.items():
-            while (job := client.get(f"/v1/jobs/{job_id}").json())["status"] in (
-                "queued",
-                "running",
-            ):
-                assert time.monotonic() < end, job
-                time.sleep(0.2)
+            job = wait(client, job_id)
             assert job["status"] == "done", job
             assert client.get(job["result"]).json()["n_frames"] == frames
 

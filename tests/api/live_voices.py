@@ -12,13 +12,11 @@ import asyncio
 import json
 import math
 import os
-import socket
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +27,11 @@ from deitalk import load_audio
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
+from tests.api.server import Server, processor_seconds, serving, wait_for
 
 SAMPLE = Path(__file__).resolve().parents[2] / "docs/samples/amiable.flac"
 RATE, FPS = 16_000, 30
 MESSAGE_SECONDS = 0.1
-START_SECONDS = 120.0
 HEAD_BYTES = 16
 """Of a record before its values; its first field is the number of the frame."""
 WARM_SECONDS = 3.0
@@ -41,49 +39,15 @@ WARM_SECONDS = 3.0
 
 
 @contextmanager
-def service(backend: str, workers: int, voices: int) -> Iterator[tuple[int, int]]:
-    """A service with this backend for live sessions; its port and the number of its process."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    with tempfile.TemporaryDirectory() as folder:
-        given = {
-            "port": port, "data": folder, "live_backend": backend, "live_workers": workers,
-            "live_sessions": 2 * voices, "workers": 1, "job_workers": 0,
-        }  # fmt: skip
-        environment = os.environ | {f"DEITALK_{k.upper()}": str(v) for k, v in given.items()}
-        log = Path(folder) / "log"
-        with log.open("wb") as out:
-            command = [sys.executable, "-P", "-m", "deitalk", "serve"]
-            process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
-        try:
-            end = time.monotonic() + START_SECONDS
-            while "live voices are ready" not in log.read_text():
-                if process.poll() is not None or time.monotonic() > end:
-                    raise SystemExit(f"the service did not start: {log.read_text()[-300:]}")
-                time.sleep(0.2)
-            yield port, process.pid
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def processor_seconds(server: int) -> dict[int, float]:
-    """Processor time of a process, and of those that it and its fork server started, by number."""
-    parents, spent = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            fields = path.read_text().rsplit(")", 1)[1].split()
-            pid = int(path.parent.name)
-            parents[pid] = int(fields[1])
-            spent[pid] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def belongs(pid: int) -> bool:
-        while pid in parents and pid != server:
-            pid = parents[pid]
-        return pid == server
-
-    return {pid: seconds for pid, seconds in spent.items() if belongs(pid)}
+def service(backend: str, workers: int, voices: int) -> Iterator[Server]:
+    """A service with this backend for live sessions, whose live workers are ready."""
+    given = {
+        "live_backend": backend, "live_workers": workers, "live_sessions": 2 * voices,
+        "job_workers": 0,
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder, serving(Path(folder), **given) as server:
+        wait_for(lambda: "live voices are ready" in server.log.read_text())
+        yield server
 
 
 async def opened(port: int) -> tuple[ClientConnection, dict[str, Any]]:
@@ -151,14 +115,18 @@ async def sessions(port: int, count: int, seconds: float) -> np.ndarray:
     return np.concatenate([np.array(late) for late in await asyncio.gather(*each)])
 
 
+def _spent(server: Server) -> np.ndarray:
+    """Processor seconds of the service's processes, and of the first alone."""
+    return np.array([server.processor_seconds, processor_seconds(server.process.pid)])
+
+
 def measure(backend: str, workers: int, count: int, seconds: float) -> dict[str, Any]:
     """Lateness of so many voices, and what they cost."""
-    with service(backend, workers, count) as (port, server):
-        before, own = processor_seconds(server), time.process_time()
-        late = asyncio.run(sessions(port, count, seconds))
+    with service(backend, workers, count) as server:
+        before, own = _spent(server), time.process_time()
+        late = asyncio.run(sessions(server.address[1], count, seconds))
         client = time.process_time() - own
-        after = processor_seconds(server)
-    spent = {pid: after[pid] - before.get(pid, 0.0) for pid in after}
+        whole, alone = _spent(server) - before
     frames = count * (seconds + WARM_SECONDS) * FPS
     return {
         "backend": backend,
@@ -168,8 +136,8 @@ def measure(backend: str, workers: int, count: int, seconds: float) -> dict[str,
         "median_ms": float(np.median(late)),
         "p95_ms": float(np.percentile(late, 95)),
         "most_ms": float(late.max()),
-        "worker_ms_of_a_frame": 1e3 * (sum(spent.values()) - spent[server]) / frames,
-        "server_ms_of_a_frame": 1e3 * spent[server] / frames,
+        "worker_ms_of_a_frame": 1e3 * (whole - alone) / frames,
+        "server_ms_of_a_frame": 1e3 * alone / frames,
         "client_ms_of_a_frame": 1e3 * client / frames,
         "load": os.getloadavg()[0],
     }

@@ -29,7 +29,7 @@ from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 from tests.api.conftest import wav
-from tests.api.server import Server, descendants, start, stop, wait_until
+from tests.api.server import Server, start, stop, wait_until
 from tests.api.test_worker import limits
 
 SPEECH = wav(10.0)
@@ -70,15 +70,6 @@ def at_once(server: Server, clients: int, each: int, **given: Any) -> list[float
     return sorted(times)
 
 
-def processor_ms(server: Server) -> float:
-    """Processor time of the server and its processes since their start."""
-    ticks = 0
-    for pid in (server.process.pid, *descendants(server.process.pid)):
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        ticks += sum(map(int, fields[11:15]))
-    return 1000 * ticks / os.sysconf("SC_CLK_TCK")
-
-
 def library() -> Callable[[], None]:
     """The same work by the package alone."""
     import torch
@@ -104,12 +95,12 @@ def compare(server: Server, count: int) -> dict[str, float]:
     spent, own = 0.0, 0.0
     with server.client() as client:
         for _ in range(count):
-            before = processor_ms(server)
+            before = server.processor_seconds
             service.append(timed(lambda: ask(client)))
-            spent += processor_ms(server) - before
-            before = 1000 * time.process_time()
+            spent += 1000 * (server.processor_seconds - before)
+            before = time.process_time()
             alone.append(timed(work))
-            own += 1000 * time.process_time() - before
+            own += 1000 * (time.process_time() - before)
     late = sorted(service)[int(0.95 * count)]
     return {
         "median": statistics.median(service),
@@ -169,7 +160,7 @@ def main() -> None:
             report["start"] = {
                 "answers_seconds": answers,
                 "ready_seconds": time.perf_counter() - began,
-                "processor_seconds": processor_ms(server) / 1000,
+                "processor_seconds": server.processor_seconds,
             }
             say(str(report["start"]))
             at_once(server, 4, 2)

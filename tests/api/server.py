@@ -32,6 +32,16 @@ def descendants(pid: int) -> list[int]:
     return found
 
 
+def processor_seconds(*pids: int) -> float:
+    """Processor time of processes up to now."""
+    ticks = 0
+    for pid in pids:
+        with suppress(OSError):  # it has ended
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
 @dataclass
 class Server:
     url: str
@@ -51,12 +61,7 @@ class Server:
     @property
     def processor_seconds(self) -> float:
         """Of the server and its processes up to now."""
-        ticks = 0
-        for pid in (self.process.pid, *descendants(self.process.pid)):
-            with suppress(OSError):  # it has ended
-                fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-                ticks += int(fields[11]) + int(fields[12])
-        return ticks / os.sysconf("SC_CLK_TCK")
+        return processor_seconds(self.process.pid, *descendants(self.process.pid))
 
     def metric(self, name: str, headers: dict[str, str] | None = None) -> float:
         """Value of a metric without labels, whose prefix is left out."""

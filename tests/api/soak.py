@@ -28,13 +28,13 @@ os.environ["OMP_NUM_THREADS"] = "1"
 from websockets.sync.client import connect
 
 from tests.api.conftest import wav
+from tests.api.kill import wait
 from tests.api.server import Server, descendants, start, stop
 
 AUDIO = {"Content-Type": "audio/wav"}
 FORMATS = ("csv", "take", "livelink", "json")
 SAMPLE_SECONDS = 60.0
 KEPT_MB = 20
-JOB_SECONDS = 300.0
 
 
 def say(text: str) -> None:
@@ -137,13 +137,7 @@ class Load:
             self.jobs.add(job_id)
             if what == "cancelled":
                 self.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
-            end = time.monotonic() + JOB_SECONDS
-            while (job := self.client.get(f"/v1/jobs/{job_id}").json())["status"] in (
-                "queued",
-                "running",
-            ):
-                assert time.monotonic() < end, job
-                time.sleep(0.2)
+            job = wait(self.client, job_id)
             assert job["status"] in ("cancelled", "done") and self.ends(job_id) == 1, job
             if what == "deleted":
                 assert self.client.delete(f"/v1/jobs/{job_id}").status_code == 204

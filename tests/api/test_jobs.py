@@ -1,15 +1,14 @@
 """Jobs: results, progress, cancelling, idempotency, restarts."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.api.conftest import bearer, wav
-from tests.api.kill import frozen, kill, run
-from tests.api.server import descendants, wait_for, wait_until
+from tests.api.kill import frozen, run, wait
+from tests.api.server import wait_for
 
 LONG = wav(6.0)
 
@@ -17,16 +16,6 @@ LONG = wav(6.0)
 def submit(client, recording=LONG, headers=None, **data):
     files = {"recording": ("speech.wav", recording)}
     return client.post("/v1/jobs", files=files, data=data, headers=headers or {})
-
-
-def wait(client, job_id, seconds=120.0, headers=None):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        job = client.get(f"/v1/jobs/{job_id}", headers=headers).json()
-        if job["status"] in ("done", "failed", "cancelled"):
-            return job
-        time.sleep(0.1)
-    raise AssertionError(job)
 
 
 def test_long_recording_becomes_a_job_with_the_same_result(client):
@@ -121,17 +110,3 @@ def test_jobs_survive_kills_of_worker_and_server(tmp_path):
 def test_jobs_survive_fifty_kills(tmp_path):
     counts = run(50, 1, tmp_path / "data")
     assert counts["server"] == 25 and counts["jobs"] == 150
-
-
-def test_server_answers_after_its_worker_was_killed(server, client):
-    for child in descendants(server.process.pid):
-        with open(f"/proc/{child}/status") as file:
-            is_worker = "VmRSS" in file.read()
-        if is_worker:
-            kill(child)
-    for _ in range(3):
-        answer = client.post("/v1/animations", content=wav(1.0))
-        if answer.status_code == 200:
-            break
-    assert answer.status_code == 200, answer.text
-    wait_until(server, "/readyz")

@@ -20,6 +20,14 @@ HOST = b"Host: 127.0.0.1\r\n"
 CLIP = wav(0.3)
 
 
+@pytest.fixture(autouse=True)
+def no_error_in_the_log(server):
+    size = server.log.stat().st_size
+    yield
+    log = server.log.read_text()[size:]
+    assert "ERROR" not in log and "Traceback" not in log
+
+
 def upgrade(path: str = "/v1/live", method: str = "GET", **headers: str) -> bytes:
     given = {
         "Host": "127.0.0.1", "Upgrade": "websocket", "Connection": "Upgrade",
@@ -86,15 +94,12 @@ def split(answer: bytes) -> tuple[int, dict[str, str], bytes]:
     ],
 )  # fmt: skip
 def test_what_is_no_request_is_answered_by_a_problem(server, request_, statuses):
-    size = server.log.stat().st_size
     status, headers, body = split(raw(server, request_))
     assert status in statuses, body
     if status != 200:
         assert headers["content-type"] == "application/problem+json"
         content = json.loads(body)
         assert content["code"] and content["message"] and "detail" in content
-    log = server.log.read_text()[size:]
-    assert "ERROR" not in log and "Traceback" not in log
 
 
 FORM = "multipart/form-data; boundary=x"
@@ -140,14 +145,12 @@ def part(
         ("audio/wav", b"", 422, "recording"),
     ],
 )
-def test_what_is_malformed_in_a_form_is_named(server, client, kind, body, status, named):
-    size = server.log.stat().st_size
+def test_what_is_malformed_in_a_form_is_named(client, kind, body, status, named):
     answer = client.post("/v1/animations", content=body, headers={"Content-Type": kind})
     content = answer.json()
     assert answer.status_code == status, content
     assert answer.headers["content-type"] == "application/problem+json"
     assert named in content["message"], content
-    assert " ERROR " not in server.log.read_text()[size:]
 
 
 @pytest.mark.parametrize(
@@ -218,7 +221,6 @@ TEXT, BINARY, CLOSE, PING = 1, 2, 8, 9
     ],
 )
 def test_messages_that_break_a_rule_close_the_socket_and_are_no_errors_of_ours(server, sent, code):
-    size = server.log.stat().st_size
     with socket.create_connection(server.address, timeout=300) as connection:
         connection.sendall(upgrade())
         answer = b""
@@ -233,13 +235,10 @@ def test_messages_that_break_a_rule_close_the_socket_and_are_no_errors_of_ours(s
                 if struct.pack(">H", code) in block:  # else the server waits for it
                     connection.sendall(frame(CLOSE, struct.pack(">H", code)))
     assert b"\x88" in received and struct.pack(">H", code) in received, received
-    log = server.log.read_text()[size:]
-    assert "ERROR" not in log and "Traceback" not in log
 
 
 @pytest.mark.parametrize("wait_seconds", [0.0, 0.002, 0.05])
 def test_clients_that_leave_in_the_handshake_are_no_errors(server, wait_seconds):
-    size = server.log.stat().st_size
     for _ in range(30):
         connection = socket.create_connection(server.address, timeout=300)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -251,8 +250,6 @@ def test_clients_that_leave_in_the_handshake_are_no_errors(server, wait_seconds)
         assert json.loads(live.recv())["code"] == "message_unknown"
         with pytest.raises(ConnectionClosed):
             live.recv()
-    log = server.log.read_text()[size:]
-    assert "ERROR" not in log and "Traceback" not in log, log
 
 
 def test_head_has_no_part_and_ends_at_once(server, client):

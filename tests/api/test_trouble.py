@@ -2,10 +2,8 @@
 
 import errno
 import json
-import shutil
 import socket
 import sqlite3
-import subprocess
 import threading
 import time
 from contextlib import closing, contextmanager, suppress
@@ -71,20 +69,6 @@ def test_fault_is_named_and_says_when_to_come_again(caplog, error, status, code)
 def test_log_has_the_reason_that_an_error_of_the_system_gives():
     assert describe(raised(FULL)) == "OSError ENOSPC in "
     assert describe(ValueError("secret")) == "ValueError in "
-
-
-@pytest.fixture
-def disk(tmp_path):
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = shutil.which("mount")
-    done = mount and subprocess.run(
-        [mount, "-t", "tmpfs", "-o", "size=16m", "tmpfs", folder], capture_output=True, check=False
-    )
-    if not done or done.returncode:
-        pytest.skip("needs the right to mount a tmpfs (root on Linux)")
-    yield folder
-    subprocess.run(["umount", "-l", folder], check=False)
 
 
 @contextmanager

@@ -42,7 +42,7 @@ class _Take:
     follows: Float64
     """Signed squared correlations with the predicted jaw, times seconds [shape=(L, C)]."""
     products: Float64
-    """Of all columns about their means in a clip [shape=(C, C)]."""
+    """Products of every two columns about their means in a clip [shape=(C, C)]."""
     frames: int
 
 

@@ -19,7 +19,7 @@ from rig.limits import TRACK_BYTES
 
 GROUPS = ("actor", "emotion", "style")
 COLUMNS = (*GROUPS, "voice", "split")
-"""Of a table of takes, beside the take."""
+"""Columns of a table of takes, beside the take."""
 UNNAMED = "actor"
 """Actor of takes that no label names."""
 SPELLINGS = {

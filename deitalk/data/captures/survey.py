@@ -54,7 +54,7 @@ class ClipSurvey:
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""
     signals: ClipSignals | None = None
-    """Of captured and predicted curves, where they can be laid over each other."""
+    """Signals of captured and predicted curves, where they can be laid over each other."""
     other_rate: tuple[float, float] | None = None
     """Rate of the curves, and the one at which they follow the sound; None if it is the same."""
 

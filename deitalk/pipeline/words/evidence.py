@@ -24,7 +24,7 @@ from deitalk.postprocess.phones import PHONES
 from rig.arrays import Float32, Int64
 
 MODEL = "default"
-"""Whose features the map was fitted to."""
+"""Model to whose features the map was fitted."""
 WEIGHTS = "phone_evidence.safetensors"
 RATE = 2 * FRAME_RATE
 """Rows per second."""

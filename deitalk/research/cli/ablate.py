@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import MAX_COUNT
-from deitalk.research.cli.options import Most
+from deitalk.research.cli.options import Most, Split
 
 
 def ablate(
@@ -27,9 +27,7 @@ def ablate(
         typer.Option(min=1, max=MAX_COUNT, help="Steps of every run; default: as configured."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of every variant.")] = 3,
-    split: Annotated[
-        str, typer.Option(help="validation for choices, test for final scores.")
-    ] = "test",
+    split: Split = "test",
     most: Most = None,
     probes: Annotated[
         int,

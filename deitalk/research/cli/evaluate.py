@@ -9,7 +9,7 @@ import typer
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_COUNT, Force, Json, Threads
 from deitalk.errors import DataError
-from deitalk.research.cli.options import Most
+from deitalk.research.cli.options import Most, Picture, Report, Split
 from deitalk.research.cli.reports import reserve_report, write_report
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ MAX_SECONDS = 3 * 3600.0
 def evaluate(
     model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
     data: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("corpus"),
-    split: Annotated[
-        str, typer.Option(help="validation for choices, test for final scores.")
-    ] = "validation",
+    split: Split = "validation",
     most: Most = None,
     probes: Annotated[
         int,
@@ -66,12 +64,8 @@ def evaluate(
         Path | None,
         typer.Option(help="Folder of a published Whisper encoder, for more ridge regressions."),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the report: .png, .svg or .pdf.")
-    ] = None,
+    out: Report = None,
+    picture: Picture = None,
     speed: Annotated[
         bool,
         typer.Option("--speed", rich_help_panel=SPEED, help="Instead: time of the stages here."),

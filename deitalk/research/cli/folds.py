@@ -7,30 +7,21 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.finetune import NOT_BETTER, print_scores, shown_on
+from deitalk.cli.options import Base, LeaveOut, Overrides, Recipe, Resume, RigFile, RigMap, Strict
 
 
 def folds(
     data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
     kind: Annotated[str, typer.Option("--of", help="What is left out: takes or actors.")] = "takes",
-    base: Annotated[str | None, typer.Option("--from", help="Model to tune.")] = None,
-    recipe: Annotated[Path | None, typer.Option("--recipe", help="YAML of a tuning.")] = None,
-    rig: Annotated[str | None, typer.Option("--rig", help="YAML of another rig.")] = None,
-    mapping: Annotated[
-        Path | None, typer.Option("--map", help="Table of the rig's curves to the board.")
-    ] = None,
-    leave_out: Annotated[
-        str | None, typer.Option("--leave-out", help="Take or actor to test on.")
-    ] = None,
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 3 where loudness predicts as well.")
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
-    ] = False,
+    base: Base = None,
+    recipe: Recipe = None,
+    rig: RigFile = None,
+    mapping: RigMap = None,
+    leave_out: LeaveOut = None,
+    overrides: Overrides = None,
+    strict: Strict = False,
+    resume: Resume = False,
 ) -> None:
     """Tune a model without each take or actor in turn, and test it there.
 

@@ -1,5 +1,6 @@
 """Options that several verbs of a checkout share."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,3 +13,6 @@ Most = Annotated[
     int | None,
     typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),
 ]
+Split = Annotated[str, typer.Option(help="validation for choices, test for final scores.")]
+Report = Annotated[Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")]
+Picture = Annotated[Path | None, typer.Option(help="Draw the report: .png, .svg or .pdf.")]

@@ -9,6 +9,7 @@ from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Identity, Json
 from deitalk.cli.targets import reserve_folder
 from deitalk.errors import DataError
+from deitalk.research.cli.options import Picture, Report
 from deitalk.research.cli.reports import reserve_report, write_report
 
 app = CheckedCommands(
@@ -82,12 +83,8 @@ def report(
     failed_checks: Annotated[
         int, typer.Option(min=0, max=3, help="Checks a rater may fail and still count.")
     ] = 0,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the report: .png, .svg or .pdf.")
-    ] = None,
+    out: Report = None,
+    picture: Picture = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.finetune import shown_on
+from deitalk.cli.options import Overrides, Resume, Track
 
 if TYPE_CHECKING:
     from deitalk.config.load import AnyConfig
@@ -19,19 +20,12 @@ def train(
     config: Annotated[Path, typer.Argument(help="YAML configuration, such as configs/mel.yaml.")],
     data: Annotated[Path, typer.Option(help="Dataset folder; SDFA also takes meshes.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
-    ] = False,
+    overrides: Overrides = None,
+    resume: Resume = False,
     start_from: Annotated[
         str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
     ] = None,
-    track: Annotated[
-        list[str] | None,
-        typer.Option("--track", help="Also log to tensorboard (in OUT), wandb or mlflow."),
-    ] = None,
+    track: Track = None,
 ) -> None:
     """Train a model; the best weights by development score are in OUT/best.
 

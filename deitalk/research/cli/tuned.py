@@ -8,7 +8,7 @@ import typer
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Json
 from deitalk.errors import DataError
-from deitalk.research.cli.options import Most
+from deitalk.research.cli.options import Most, Report
 from deitalk.research.cli.reports import reserve_report, write_report
 
 
@@ -29,9 +29,7 @@ def tuned(
     acted: Annotated[
         Path | None, typer.Option(help="Table of actors at two strengths: their order.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
-    ] = None,
+    out: Report = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

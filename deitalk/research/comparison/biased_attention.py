@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 KeysAndValues = tuple[Tensor, Tensor]
-"""Of the frames so far, each (B, H, frames, W / H)."""
+"""Keys and values of the frames so far, each (B, H, frames, W / H)."""
 
 
 def periodic_positions(n_frames: int, size: int, period: int) -> Tensor:

@@ -20,13 +20,13 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.character import Seeds
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import measure_voice
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.corpus.recordings import AUDIO_SUFFIXES
 from deitalk.research.evaluation.report import write_json
 from rig.arrays import Float32, Float64
@@ -119,7 +119,8 @@ def recordings(paths: Sequence[Path], most: int) -> list[Path]:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("recordings", type=Path, nargs="+", help="speech, or folders of it")
@@ -127,16 +128,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="another drawing")
     parser.add_argument("--json", type=new_file, help="also write the measures to this file")
     options = parser.parse_args(arguments)
-    try:
-        files = recordings(options.recordings, max(1, options.most))
-        takes = [draw_take(load_audio(path).waveform, options.seed) for path in files]
-    except DeitalkError as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    files = recordings(options.recordings, max(1, options.most))
+    takes = [draw_take(load_audio(path).waveform, options.seed) for path in files]
     found = measure_blinks(takes)
     sys.stdout.write("\n".join(table("blinks", {"here": found})) + "\n")
     write_json(options.json, {"blinks": found})
-    return 0
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ class Tally:
         self.rows: list[dict[str, float]] = []
         self.closures: list[ClosureScores] = []
         self.labelled: list[ClosureScores] = []
-        """Those of the clips with at most `MOST_UNLABELLED` of their speech labelled silence."""
+        """Closures of clips with at most `MOST_UNLABELLED` of their speech labelled silence."""
         self.baseline: list[ClosureScores] = []
         self.held: list[bool] = []
         self.lags: dict[str, list[Float64]] = {"jaw": [], "lips": []}

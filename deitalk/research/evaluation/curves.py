@@ -184,7 +184,7 @@ def _group(clip: Clip, row: dict[Any, str]) -> str:
 
 
 def _by_recording(clips: Sequence[Clip]) -> list[ClipToScore]:
-    """Of every recording its neutral clip and its first acted one; each may be the other too."""
+    """Neutral clip and first acted one of every recording; each may be the other too."""
     by_audio: dict[Path, list[Clip]] = {}
     for clip in clips:
         by_audio.setdefault(clip.audio, []).append(clip)

@@ -32,8 +32,13 @@ def draw_evaluation(report: dict[str, Any], path: Path) -> None:
         _noise(axes[1, 1], report.get("noise", {}))
 
 
-def _bars(axis: Any, series: dict[str, dict[str, float]]) -> None:
-    """Draw grouped bars: one colour per series, one group per name."""
+def _bars(axis: Any, title: str, series: dict[str, dict[str, float]]) -> None:
+    """Draw grouped bars: one colour per series, one group per name.
+
+    Series whose labels have spaces are parts of others, and left out.
+    """
+    series = {label: values for label, values in series.items() if " " not in label}
+    axis.set_title(title, loc="left")
     names = list(dict.fromkeys(name for values in series.values() for name in values))
     width = 0.8 / max(len(series), 1)
     for i, (label, values) in enumerate(series.items()):
@@ -49,20 +54,16 @@ def _phones(axis: Any, groups: dict[str, Any]) -> None:
     series = {
         name: {p: s["hits"] for phones in gestures.values() for p, s in phones.items() if s["n"]}
         for name, gestures in groups.items()
-        if " " not in name
     }
-    _bars(axis, series)
-    axis.set_title("hit rate at 5 % false alarms over the counter-examples", loc="left")
+    _bars(axis, "hit rate at 5 % false alarms over the counter-examples", series)
 
 
 def _channels(axis: Any, groups: dict[str, dict[str, Any]]) -> None:
     series = {
         name: {k.removeprefix("r "): v for k, v in scores.items() if k.startswith("r ")}
         for name, scores in groups.items()
-        if " " not in name
     }
-    _bars(axis, series)
-    axis.set_title("correlation with the procedural target, per channel", loc="left")
+    _bars(axis, "correlation with the procedural target, per channel", series)
 
 
 def _distances(axis: Any, groups: dict[str, Any]) -> None:

@@ -29,13 +29,12 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
-from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.character import Seeds, Traits
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
 from deitalk.research.evaluation.report import write_json
@@ -221,20 +220,18 @@ def ratios(report: dict[str, list[float]]) -> Float64:
     return share
 
 
-def main(arguments: Sequence[str]) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report; 0 if all ratios are within the tolerance, else 1."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folder", type=Path, help="measured lips with poses")
     parser.add_argument("--json", type=new_file, help="also write the report to this file")
     options = parser.parse_args(arguments)
-    try:
-        report = evaluate_head(options.folder)
-    except DeitalkError as error:
-        sys.exit(str(error))
+    report = evaluate_head(options.folder)
     sys.stdout.write(as_markdown(report))
     write_json(options.json, {**report, "ratios": ratios(report).tolist()})
     return int((np.abs(ratios(report) - 1) > TOLERANCE).any())
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

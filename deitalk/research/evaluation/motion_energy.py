@@ -17,19 +17,18 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from deitalk.evaluation.figures import drawing
 from deitalk.evaluation.report import table
 from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.evaluation.report import identified, write_json
 from rig import read_curves
 from rig.arrays import Float64
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.errors import RigError
 
 REGIONS: dict[str, tuple[str, ...]] = {
     "brows": ("_brow_",),
@@ -152,7 +151,8 @@ def draw(path: Path, takes: Mapping[str, RigCurves]) -> None:
         figure.supxlabel("seconds; change of the controls per second", fontsize=8)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table; draw the picture if one is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("files", type=Path, nargs="*", help="curves of any format")
@@ -163,22 +163,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--start", type=float, default=0.0, help="first second")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="how many of them")
     options = parser.parse_args(arguments)
-    try:
-        takes = read_takes(options.files, options.start, options.seconds)
-        if options.animate is not None:
-            part = (options.model, options.start, options.seconds)
-            takes |= animated_takes(options.animate, *part)
-        if not takes:
-            raise DataError("no curves; name files, or a recording to animate")
-        if options.out is not None:
-            draw(options.out, takes)
-    except (DeitalkError, RigError) as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    takes = read_takes(options.files, options.start, options.seconds)
+    if options.animate is not None:
+        part = (options.model, options.start, options.seconds)
+        takes |= animated_takes(options.animate, *part)
+    if not takes:
+        raise DataError("no curves; name files, or a recording to animate")
+    if options.out is not None:
+        draw(options.out, takes)
     sys.stdout.write(as_markdown(takes))
     known = identified(options.model) if options.animate is not None else {}
     write_json(options.json, known | {"takes": summary(takes)})
-    return 0
 
 
 if __name__ == "__main__":

@@ -54,7 +54,6 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.emotions import EMOTIONS, LABELS, MOODS, IntensityCurve
 from deitalk.emotions.actor import ActorReference
-from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import mean_of_finite
 from deitalk.models.checkpoint import require_model
@@ -65,7 +64,7 @@ from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, emotion_map
 from deitalk.postprocess.life.gaze import SIDE_DEGREES
 from deitalk.postprocess.life.voice import measure_voice
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.evaluation.acted import EMOTIONS as ASKED
 from deitalk.research.evaluation.acted import evaluate
 from deitalk.research.evaluation.prominence import find_syllables
@@ -379,7 +378,8 @@ def with_wanted(columns: Columns) -> Columns:
     return {"at least": wanted, **columns}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("actors", type=Path, help="table of recordings of actors")
@@ -392,26 +392,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen, most = options.only or PARTS, max(options.most, 2)
     report: dict[str, Columns] = {}
-    try:
-        actors = read_clips(options.actors, ACTORS, options.split, most)
-        asked = options.split, most, max(options.sentences, 1)
-        readers = {path.stem: read_clips(path, READERS, *asked) for path in options.readers}
-        spoken = {options.actors.stem: actors, **readers}
-        if "strength" in chosen:
-            report["strength"] = strengths(options.actors, options.split)
-        if "motion" in chosen:
-            report["motion"] = motion(actors)
-        if "readers" in chosen and readers:
-            report["readers"] = {name: reader_rows(clips) for name, clips in readers.items()}
-        if "auto" in chosen:
-            report["auto"] = {name: suggested(clips) for name, clips in spoken.items()}
-    except DeitalkError as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    actors = read_clips(options.actors, ACTORS, options.split, most)
+    asked = options.split, most, max(options.sentences, 1)
+    readers = {path.stem: read_clips(path, READERS, *asked) for path in options.readers}
+    spoken = {options.actors.stem: actors, **readers}
+    if "strength" in chosen:
+        report["strength"] = strengths(options.actors, options.split)
+    if "motion" in chosen:
+        report["motion"] = motion(actors)
+    if "readers" in chosen and readers:
+        report["readers"] = {name: reader_rows(clips) for name, clips in readers.items()}
+    if "auto" in chosen:
+        report["auto"] = {name: suggested(clips) for name, clips in spoken.items()}
     for name, columns in report.items():
         sys.stdout.write("\n".join(table(name, with_wanted(columns))) + "\n\n")
     write_json(options.json, identified(MODEL) | report)
-    return 0
 
 
 if __name__ == "__main__":

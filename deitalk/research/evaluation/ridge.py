@@ -35,11 +35,11 @@ REACH = 3
 PENALTY = 3000.0
 """On squared weights."""
 LAYERS = (2, 3, 4)
-"""Of a published encoder."""
+"""Layers of a published encoder."""
 TEACHERS = 240
 """Most recordings that teach contacts."""
 WORSE = 0.01
-"""By which a score of curves may lie below that of the ridge."""
+"""Amount by which a score of curves may lie below that of the ridge."""
 
 Rows = tuple[Float32, Float32]
 """Features [shape=(T, D)] and targets [shape=(T, M)]; frames with NaN teach nothing."""

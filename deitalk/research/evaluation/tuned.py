@@ -35,7 +35,7 @@ from rig.arrays import Float32, Float64
 OPEN, SHUT = 95, 5
 """Percentiles between which the range of the jaw lies."""
 ORDERS = ("intensity: high above low", "whole face: high above low")
-"""Of `acted`: strength that is predicted, and that of the face."""
+"""Scores of `acted`: strength that is predicted, and that of the face."""
 OVER_NEUTRAL = {
     "error over neutral": "error_of_mean_pose",
     "error at best gain over neutral": "error_at_best_gain",

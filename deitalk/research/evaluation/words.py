@@ -20,7 +20,7 @@ import pandas as pd
 from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import read_clips, read_phones
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from deitalk.evaluation.report import table
 from deitalk.evaluation.smoothness import lips_together
 from deitalk.evaluation.validation import ClosureScores, closure_scores, summarise_closures
@@ -32,7 +32,7 @@ from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
 from deitalk.pipeline.words.pronounced import Word
 from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.phones import Phones
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.report import identified, write_json
 from rig.arrays import Float32
@@ -170,7 +170,8 @@ def as_markdown(found: dict[str, dict[str, list[ClosureScores]]]) -> str:
     return "\n".join(table("bilabials found", columns)) + "\n"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="dataset folder with phones")
@@ -179,17 +180,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--most", type=int, help="most recordings of a group")
     parser.add_argument("--json", type=new_file, help="also write the report to this file")
     options = parser.parse_args(arguments)
-    try:
-        network = load_network(options.model)
-        found = measure(network, recorded(options.data, options.split, options.most))
-        found |= measure(network, list(spoken()))
-    except DeitalkError as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    network = load_network(options.model)
+    found = measure(network, recorded(options.data, options.split, options.most))
+    found |= measure(network, list(spoken()))
     sys.stdout.write(as_markdown(found))
     known = identified(options.model) | {"split": options.split}
     write_json(options.json, known | {"groups": summary(found)})
-    return 0
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ HEADER = (
     "intensity",
 )  # fmt: skip
 VALIDATION_SHARE = 0.1
-"""Of the corpus clips; they come from its validation speakers."""
+"""Share of the corpus clips that are for validation, from its validation speakers."""
 
 
 def write_lip_dataset(

@@ -18,7 +18,7 @@ STILL = 0.1
 
 
 LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
-"""Of `deitalk.research.lips.head_lips.MEASURES`."""
+"""Weights of `deitalk.research.lips.head_lips.MEASURES`."""
 
 
 def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ COLUMNS = ("open_in", "jaw", "width_out", "upper_lip_y", "lower_lip_y", "corner_
 RATE, MISSING, UNIT = 25.0, -32768, 1e-4
 SOUNDS = (".opus", ".wav", ".flac", ".mp3", ".ogg", ".m4a")
 CLOSED_PERCENTILE = 5
-"""Of a speaker's opening: lips that touch."""
+"""Percentile of a speaker's opening at which lips touch."""
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,7 @@ def in_context(features: Float32) -> Float32:
 MIX = 0.7
 """Share of the regression; the rest is the model's own lips at the measured amplitude."""
 LARGEST_GAIN = 2.0
-"""Of what a mean of predictions lacks in amplitude."""
+"""Largest factor for the amplitude that a mean of predictions lacks."""
 CONTACT = "lipsTogether"
 """Controls that close the lips, by a part of their names."""
 EDGE_FRAMES = 9

@@ -42,7 +42,7 @@ SINE_DB = 6.0
 """Largest amplitude of the gain over the bins."""
 SINE_PERIODS = (0.25, 3.0)
 PROBABILITY = 0.5
-"""Of every augmentation of audio and mel, independently."""
+"""Probability of every augmentation of audio and mel, independently."""
 
 
 def frame_shift(rng: np.random.Generator) -> float:

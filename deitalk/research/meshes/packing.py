@@ -134,7 +134,7 @@ def rotation_exp(vectors: Any) -> Float64:
 
 
 def unwrap(vectors: Any, reference: Any) -> Float64:
-    """Of the vectors of the same rotation, the one nearest to a reference.
+    """Vector of the same rotation that is nearest to a reference.
 
     r and r + 2 pi k axis are one rotation. Near pi the logarithm jumps from one end of the axis
     to the other (6.28 rad between frames of `mouthClose` on two rim triangles of the ICT face);

@@ -26,7 +26,7 @@ from deitalk.research.evaluation.report import identified, write_json
 SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 BLOCK, FIRST_FRAMES, SECONDS, VOICES = 160, 30, 30.0, 20
 RUNS = 60
-"""Of the exported file, after a first one."""
+"""Runs of the exported file, after a first one."""
 
 
 def one_voice(sound: np.ndarray, backend: str) -> np.ndarray:

@@ -47,8 +47,8 @@ def read_teacher(name: str, student: DEITalk) -> DEITalk:
 
 
 MOTION_WEIGHT = 4.0
-"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Much of the features
-changes slowly (speaker, room); lips move faster."""
+"""Weight of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Much of the
+features changes slowly (speaker, room); lips move faster."""
 
 
 class Teacher:

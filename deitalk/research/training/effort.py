@@ -65,11 +65,11 @@ class Heard(NamedTuple):
     clip: StrengthClip
     mean: Float64
     noisy: Float64 | None = None
-    """Of a copy with noise: actors' recordings alone."""
+    """The same of a copy with noise: actors' recordings alone."""
     pieces: Sequence[tuple[Float64, float]] = ()
-    """Of a reader: means of pieces, and their level in dB."""
+    """Means of pieces of a reader's recording, and their levels in dB."""
     recording: str = ""
-    """Which recording joins the take with others of the actor and emotion."""
+    """Name of the recording that joins the take with others of the actor and emotion."""
 
 
 @torch.inference_mode()

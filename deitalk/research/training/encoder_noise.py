@@ -33,11 +33,10 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import WhisperConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.errors import DeitalkError
 from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
 from deitalk.frontends.strided import LARGEST
 from deitalk.frontends.whisper import WhisperFrontend, encoder_weights, scaled
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from deitalk.research.training.surroundings import read_surroundings
@@ -52,13 +51,14 @@ CLEAN_SHARE = 0.2
 RATE = 2e-4
 WARM_STEPS = 50
 CAUSAL_ROWS = 4
-"""Of a batch; the others are read whole."""
+"""Rows of a batch that are read as a stream; the others are read whole."""
 CAUSAL_GAIN_DB = 4.0
 """A running level differs from that of the recording by up to this."""
 MOTION_WEIGHT = 2.0
-"""Of the distance between neighbouring features: speaker and room change slowly, lips fast."""
+"""Weight of the distance between neighbouring features: speaker and room change slowly, lips
+fast."""
 AVERAGE = 0.995
-"""Of the moving mean of the weights, which is kept."""
+"""Factor of the moving mean of the weights, which is kept."""
 STATISTICS_BATCHES = 12
 REPORT_STEPS = 50
 
@@ -194,6 +194,7 @@ def train(task: EncoderNoise, out: Path, steps: int) -> Iterator[tuple[int, floa
             yield step + 1, float(np.mean(losses[-REPORT_STEPS:]))
 
 
+@one_line_errors
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.encoder_noise")
@@ -209,21 +210,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "-o", "--out", type=new_file, required=True, help="weights: FILE.safetensors"
     )
     given = parser.parse_args(arguments)
-    try:
-        every = [recording for folder in given.speech for recording in recordings(folder)]
-        paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
-        config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
-        task = EncoderNoise(config, paths, read_surroundings(given.noise, given.rooms), given.seed)
-        if given.start:
-            wanted = task.student.encoder.state_dict()
-            task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))
-        begun = time.monotonic()
-        for step, loss in train(task, given.out, given.steps):
-            seconds = time.monotonic() - begun
-            print(f"step {step}: loss {loss:.4f}, {seconds:.0f} s", flush=True)  # noqa: T201
-    except DeitalkError as error:
-        sys.exit(str(error))
+    every = [recording for folder in given.speech for recording in recordings(folder)]
+    paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
+    config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
+    task = EncoderNoise(config, paths, read_surroundings(given.noise, given.rooms), given.seed)
+    if given.start:
+        wanted = task.student.encoder.state_dict()
+        task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))
+    begun = time.monotonic()
+    for step, loss in train(task, given.out, given.steps):
+        seconds = time.monotonic() - begun
+        print(f"step {step}: loss {loss:.4f}, {seconds:.0f} s", flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -46,16 +46,16 @@ from rig.face.head import build_head
 from rig.files import atomic_write
 
 EPOCHS, BATCH, WINDOW, RATE, DECAY, DROPOUT = 5, 16, 128, 1e-3, 0.3, 0.3
-"""Of the network of the channels; it sees `BATCH` times `WINDOW` frames in a step."""
+"""Settings of the channels' network, which sees `BATCH` times `WINDOW` frames in a step."""
 MEASURE_PENALTY = 10_000.0
 SHARES = (0.8, 0.6, 0.8, 0.7)
-"""Of the regression in each measure; the rest is the decoder's."""
+"""Share of the regression in each measure; the rest is the decoder's."""
 GAINS = (1.1, 1.7, 1.1, 1.3)
-"""Of the mixed measures about their mean."""
+"""Gains of the mixed measures about their mean."""
 KEPT = ("lipsTogether", "funnel", "purse")
 """Parts of the names of controls that move for no measure: phones move them."""
 SMOOTHING = (0.25, 0.5, 0.25)
-"""Of the measures, over frames."""
+"""Weights over frames that smooth the measures."""
 VOICE_FRAMES = 5
 """Frames around speech that count as its own: the mouth opens before it, and closes after it."""
 NOISE_TIMES, NOISE_RMS = 3, 0.07

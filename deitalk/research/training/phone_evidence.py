@@ -21,7 +21,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import Clip, read_clips, read_phones
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
@@ -35,7 +35,7 @@ from deitalk.pipeline.words.evidence import (
     phone_features,
 )
 from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, PHONES, Phones
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.evaluation.report import identified, shipped, write_json
 from rig.arrays import Float32, Int64
 from rig.files import atomic_write
@@ -134,7 +134,8 @@ def score(found: PhoneEvidence, rows: Rows) -> dict[str, float]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, print the scores of the validation speakers, and write the map in half precision."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="dataset folder with phones")
@@ -143,15 +144,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=new_file, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=new_file, help=".safetensors to write")
     options = parser.parse_args(arguments)
-    try:
-        if options.embedded:
-            found = phone_evidence()
-        else:
-            found = fit(read_rows(options.data, "train", options.every))
-        scores = score(found, read_rows(options.data, "validation", options.every))
-    except DeitalkError as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    if options.embedded:
+        found = phone_evidence()
+    else:
+        found = fit(read_rows(options.data, "train", options.every))
+    scores = score(found, read_rows(options.data, "validation", options.every))
     for name, value in scores.items():
         sys.stdout.write(f"{name}: {value:.3g}\n")
     known = shipped("deitalk.pipeline.words", WEIGHTS) if options.embedded else {}
@@ -159,7 +156,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.out is not None:
         with atomic_write(options.out) as beside:
             save_file({k: v.astype(np.float16) for k, v in found.weights.items()}, beside)
-    return 0
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from rig.files import remove_leftovers
 N_SHOWN = 2
 """Validation clips that are drawn at every evaluation."""
 LIMITS = (-0.05, 1.05)
-"""Of the axes of a picture."""
+"""Limits of the axes of a picture."""
 
 
 class Row(NamedTuple):
@@ -37,7 +37,7 @@ class Row(NamedTuple):
     predicted: AnyFloat | None
     """[shape=(T,)]; drawn as a line."""
     limits: tuple[float, float] | None = None
-    """Of the axis; None: from 0 to the largest number."""
+    """Limits of the axis; None: from 0 to the largest number."""
 
 
 class ClipRows(NamedTuple):
@@ -97,7 +97,7 @@ class DrawsClips:
     """A task whose evaluations draw clips."""
 
     rows: Sequence[ClipRows] = ()
-    """Of the last evaluation."""
+    """Rows of the last evaluation."""
 
     def draw(self, out: Path, step: int) -> None:
         """Draw the clips of an evaluation into a run folder; names sort by step."""

@@ -38,7 +38,7 @@ from deitalk.audio.running_level import levelled
 from deitalk.config.curves import Config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import ConfigError, DataError, DeitalkError
+from deitalk.errors import ConfigError, DataError
 from deitalk.frontends.causal_whisper import PERIOD, CausalWhisperFrontend
 from deitalk.frontends.strided import MOMENTUM
 from deitalk.frontends.whisper import LogMel
@@ -46,6 +46,7 @@ from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.device import require_device
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, LipReadout
+from deitalk.research.arguments import one_line_errors
 from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
@@ -55,11 +56,11 @@ from rig.arrays import Float32
 from rig.files.folder import check_folder
 
 RATE, DECAY, BETAS, CLIP = 1.5e-3, 0.02, (0.9, 0.98), 1.0
-"""Of AdamW: largest rate, weight decay, betas and largest norm of the gradient."""
+"""Settings of AdamW: largest rate, weight decay, betas and largest norm of the gradient."""
 WARM_SHARE = 0.04
-"""Of the steps: the rate rises in them, and falls as a cosine in the others."""
+"""Share of the steps in which the rate rises; it falls as a cosine in the others."""
 AVERAGE = 0.999
-"""Of the moving mean of the weights, which is kept."""
+"""Factor of the moving mean of the weights, which is kept."""
 STATISTICS_CHUNKS, STATISTICS_WINDOWS = 4, 128
 """What the norms of the mean weights are measured on at the end."""
 REPORT_STEPS = 500
@@ -68,7 +69,7 @@ VALIDATION_WINDOWS, VALIDATION_RECORDINGS = 192, 70
 PART = 64
 """Windows that are changed, or heard by the teacher, at once."""
 LEVEL_DB = -23.0
-"""Of speech without its pauses."""
+"""Level of speech without its pauses."""
 SPEED = 1.22
 """Largest factor of the speed, and its inverse the least."""
 MARGIN = 4800
@@ -93,7 +94,7 @@ HEAVY = {
 OTHERS = 0.7
 """Weight of all other controls."""
 CONTACT_WEIGHTS = (4.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-"""Of `CHANNELS`, in their cross entropy."""
+"""Weights of `CHANNELS` in their cross entropy."""
 
 
 class Size(NamedTuple):
@@ -702,6 +703,7 @@ def whole(least: int, text: str) -> int:
     return int(text)
 
 
+@one_line_errors
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     usual = Size()
@@ -740,11 +742,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("-o", "--out", type=Path, required=True, help="model folder")
     given = parser.parse_args(arguments)
-    try:
-        train(given)
-    except DeitalkError as error:
-        sys.exit(str(error))
+    train(given)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -44,13 +44,13 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.prosody import rms_db
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from deitalk.evaluation.report import table
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, EmotionMap, VoiceFrames, standardised
-from deitalk.research.arguments import new_file
+from deitalk.research.arguments import new_file, one_line_errors
 from deitalk.research.evaluation.report import identified, write_json
 from deitalk.research.evaluation.strength_clips import (
     ACTORS,
@@ -69,7 +69,7 @@ PLACES = {
 COPIES = 2
 """Altered copies of an actor's recording; a reader's has one."""
 SPEEDS = (0.85, 1.18)
-"""Of copies: pitch and formants with the rate."""
+"""Range of the speed of copies: pitch and formants change with it."""
 CODED_SHARE = 0.4
 CODECS = (
     ("MP3", "MPEG_LAYER_III"), ("OGG", "VORBIS"), ("OGG", "OPUS"), ("WAV", "ULAW"),
@@ -82,12 +82,13 @@ READERS_WEIGHT = 0.2
 """Weight of all readers over that of all actors."""
 NEUTRAL_READERS = 0.965
 LONGEST_SECONDS = 5.0
-"""Of a reader's recording; actors speak two seconds, and a window of the track has three."""
+"""Length that is read of a reader's recording; actors speak two seconds, and a window of the track
+has three."""
 EVERY = 8
-"""Of the readers' recordings every so-manieth is read."""
+"""Step between the readers' recordings that are read."""
 FOLDS = 5
 BINS = 10
-"""Of probabilities, in the calibration error."""
+"""Bins of probabilities in the calibration error."""
 TEST = "test"
 
 
@@ -428,7 +429,8 @@ def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def main() -> int:
+@one_line_errors
+def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, print the scores, and write the map."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--actors", type=Path, required=True, help="CREMA-D's table")
@@ -439,35 +441,30 @@ def main() -> int:
     parser.add_argument("--split", choices=("validation", TEST), default="validation")
     parser.add_argument("--json", type=new_file, help="also write the scores to this file")
     parser.add_argument("-o", "--out", type=new_file, help=".safetensors to write")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     scores: dict[str, dict[str, float]] = {}
     judged: dict[str, dict[str, float]] = {}
-    try:
-        around = read_surroundings(options.noise, options.rooms)
-        voices = read_voices(options.actors, options.readers, around, options.split)
-        fitted = voices.having("validation")
-        level = voices._replace(numbers=voices.levels[:, None])
-        makers = {"map": (voices, fit), "ridge": (voices, fit_ridge), "level": (level, fit_ridge)}
-        for name, (heard, fitted_by) in makers.items():
-            p, temperature, added = cross_validate(heard, fitted_by)
-            found = adjusted(fitted_by(heard, fitted), temperature, added)
-            scores[f"{name}, cross-validation"] = score(p, heard, "validation")
-            if options.split == TEST:
-                scores[f"{name}, {TEST}"] = score(predict(found, heard.numbers), heard, TEST)
-            if name != "level":
-                for path in options.judge:
-                    judged[f"{name}, {path.stem}"] = judge(found, path)
-            if name == "map":
-                made = found
-    except DeitalkError as error:
-        sys.stderr.write(f"deitalk: {error}\n")
-        return 1
+    around = read_surroundings(options.noise, options.rooms)
+    voices = read_voices(options.actors, options.readers, around, options.split)
+    fitted = voices.having("validation")
+    level = voices._replace(numbers=voices.levels[:, None])
+    makers = {"map": (voices, fit), "ridge": (voices, fit_ridge), "level": (level, fit_ridge)}
+    for name, (heard, fitted_by) in makers.items():
+        p, temperature, added = cross_validate(heard, fitted_by)
+        found = adjusted(fitted_by(heard, fitted), temperature, added)
+        scores[f"{name}, cross-validation"] = score(p, heard, "validation")
+        if options.split == TEST:
+            scores[f"{name}, {TEST}"] = score(predict(found, heard.numbers), heard, TEST)
+        if name != "level":
+            for path in options.judge:
+                judged[f"{name}, {path.stem}"] = judge(found, path)
+        if name == "map":
+            made = found
     sys.stdout.write("\n".join(table("", scores | judged)) + "\n")
     write_json(options.json, identified(MODEL) | scores)
     if options.out is not None:
         with atomic_write(options.out) as beside:
             save_file({k: v.astype(np.float32) for k, v in made.weights.items()}, beside)
-    return 0
 
 
 if __name__ == "__main__":

@@ -34,9 +34,15 @@ from deitalk.audio.vocal_strength import (
     vocal_strength,
     without_level,
 )
-from deitalk.errors import DataError, DeitalkError
-from deitalk.research.arguments import new_file
-from deitalk.research.evaluation.strength import MeasuredClip, measure_clips
+from deitalk.errors import DataError
+from deitalk.research.arguments import new_file, one_line_errors
+from deitalk.research.evaluation.report import shipped, write_json
+from deitalk.research.evaluation.strength import (
+    MeasuredClip,
+    as_markdown,
+    measure_clips,
+    score_strength,
+)
 from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     LEVELS,
@@ -50,7 +56,7 @@ from rig.files import atomic_write
 
 STEPS, LEARNING_RATE, WEIGHT_DECAY = 1200, 2e-3, 0.05
 CHAPTERS, PIECES, ACTORS_AT_ONCE = 4, 8, 3
-"""Of one step: chapters, pieces of each, actors with all of their clips."""
+"""Contents of one step: chapters, pieces of each, actors with all of their clips."""
 SHORTEST, LONGEST, ACTED = 60, 240, 200
 """Frames of a reader's piece, and at most of an actor's."""
 EQUALISATION = np.array([0.25, 0.2, 0.15, 0.15])
@@ -226,6 +232,7 @@ def _augment(bands: Float32, rng: Generator) -> Float32:
     return bands.astype(np.float32)
 
 
+@one_line_errors
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's docstring; an error is one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.vocal_strength")
@@ -238,16 +245,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
-    try:
-        _run(given)
-    except DeitalkError as error:
-        sys.exit(str(error))
-
-
-def _run(given: argparse.Namespace) -> None:
-    from deitalk.research.evaluation.report import shipped, write_json
-    from deitalk.research.evaluation.strength import as_markdown, score_strength
-
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
     measured = measure_clips(clips)
     held = [clip for clip in measured if clip.clip.split == given.split]
@@ -267,4 +264,4 @@ def _run(given: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

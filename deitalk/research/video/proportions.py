@@ -17,11 +17,11 @@ from rig.arrays import Bool, Float32, Float64
 from rig.face.head import GAZE_DEGREES
 
 CLOSED_PERCENTILE = 5
-"""Of the opening in a take: lips that touch."""
+"""Percentile of the opening in a take at which lips touch."""
 SHUT_LIPS = 0.15
 """Opening of lips at rest, as a share of the way from its 5th percentile to its 95th."""
 STILL_FRAMES = 15
-"""Of the first pause with shut, still lips, in which the face is taken to rest."""
+"""Length of the first pause with shut, still lips, in which the face is taken to rest."""
 SHUT_SHARE = 0.25
 """Gap of the lids in a blink over the open gap, where the take shows no blink."""
 BLINK_SHARE = 0.5

@@ -30,7 +30,7 @@ OWN = (0.3, 1.0, 10.0)
 LEAST_BETTER = 0.005
 """Share of a control's error by which a map must lower it, else the control stays as it is."""
 LEAST_ACTORS = 3
-"""From which on a new actor's penalty is told by leaving actors out."""
+"""Fewest actors of whom each is left out to find the penalty of a new one."""
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
 MANY, MANY_FOLDS = 8, 2
@@ -115,7 +115,7 @@ class Sums(NamedTuple):
     """
 
     folds: list[int]
-    """Of these clips."""
+    """Fold of each clip."""
     squares: Float64
     """Products, by fold and actor, of many actors by group [shape=(K, A or `GROUPS`, R, R)]."""
     rows: Float64

@@ -9,8 +9,7 @@ from deitalk import LiveAnimator
 from deitalk.agents.face import IDLE_SECONDS, AgentFace
 from deitalk.errors import AudioError
 from deitalk.live.stream import CLOSING_FRAMES
-from deitalk.postprocess.control_groups import ControlGroups
-from tests.deitalk.live.conftest import RATE, tiny, voice
+from tests.deitalk.live.conftest import RATE, mouth_from_rest, tiny, voice
 from tests.errors import one_line
 
 __all__ = ["tiny", "voice"]
@@ -50,11 +49,6 @@ def spoken(face, sound, rate, size=None):
     size = size or len(sound)
     pieces = [p for k in range(0, len(sound), size) for p in face.speak(sound[k : k + size], rate)]
     return pieces + face.end()
-
-
-def mouth_from_rest(face, curves):
-    controls = face.animator.network.controls
-    return np.abs(curves - controls.rest)[:, ControlGroups(controls).follows_mouth].max(axis=1)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +98,7 @@ def test_interrupted_mouth_shuts_from_the_frame_that_is_shown(face, clock, voice
     (piece,) = face.interrupt()
     shown = curves[min(int(played * 30), len(curves) - 1)]
     assert not piece.sound and len(piece.curves) >= CLOSING_FRAMES
-    assert mouth_from_rest(face, piece.curves)[CLOSING_FRAMES - 1 :].max() < 1e-6
+    assert mouth_from_rest(face.animator, piece.curves)[CLOSING_FRAMES - 1 :].max() < 1e-6
     smile = face.names.index(SMILE)
     near = curves[max(int(played * 30) - 1, 0) : int(played * 30) + 2, smile]
     near = near if len(near) else shown[[smile]]
@@ -173,7 +167,7 @@ def test_a_listener_moves_by_the_voice_of_the_user(tiny, voice, rate):
                 face.listen(sound[k * step : (k + 1) * step], rate)
             for piece in face.idle():
                 heads.append(piece.head)
-                assert mouth_from_rest(face, piece.curves).max() < 0.05
+                assert mouth_from_rest(face.animator, piece.curves).max() < 0.05
         found.append(np.concatenate(heads))
     assert found[0].shape == found[1].shape and not np.array_equal(*found)
 
@@ -201,4 +195,4 @@ def test_threads_do_not_disturb_each_other(face, voice):
     for thread in threads:
         thread.join()
     pieces += face.end()
-    assert pieces and mouth_from_rest(face, face.interrupt()[0].curves)[2:].max() < 1e-6
+    assert pieces and mouth_from_rest(face.animator, face.interrupt()[0].curves)[2:].max() < 1e-6

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from deitalk.live.stream import CLOSING_FRAMES
-from deitalk.postprocess.control_groups import ControlGroups
-from tests.deitalk.live.conftest import tiny, voice
+from tests.deitalk.live.conftest import mouth_from_rest, tiny, voice
 
 pytest.importorskip(
     "livekit.agents", reason="needs the extra livekit: pip install 'deitalk[livekit]'"
@@ -71,11 +70,6 @@ def drive(tiny, work, **options):
     return asyncio.run(whole()), log
 
 
-def from_rest(output, values):
-    controls = output.face.animator.network.controls
-    return np.abs(values - controls.rest)[:, ControlGroups(controls).follows_mouth].max(axis=1)
-
-
 def test_a_turn_is_played_whole_and_in_step(tiny, voice):
     given = sounds(voice)
 
@@ -111,7 +105,7 @@ def test_an_interruption_shuts_the_mouth_at_once(tiny, voice):
     after = [content for kind, content in log[at:] if kind == "face"]
     assert not [kind for kind, _ in log[at:] if kind == "sound"]
     values = np.concatenate([piece.curves for piece in after])
-    assert from_rest(output, values)[CLOSING_FRAMES - 1 :].max() < 1e-6
+    assert mouth_from_rest(output.face.animator, values)[CLOSING_FRAMES - 1 :].max() < 1e-6
     smile = output.face.names.index("CTRL_L_mouth_cornerPull.ty")
     assert np.ptp(values[:6, smile]) < 1e-6
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from deitalk.live.stream import CLOSING_FRAMES
-from deitalk.postprocess.control_groups import ControlGroups
-from tests.deitalk.live.conftest import tiny, voice
+from tests.deitalk.live.conftest import mouth_from_rest, tiny, voice
 
 pytest.importorskip("pipecat", reason="needs the extra pipecat: pip install 'deitalk[pipecat]'")
 
@@ -64,11 +63,6 @@ def of(kind, frames):
     return [frame for frame in frames if type(frame) is kind]
 
 
-def from_rest(face, values):
-    controls = face.face.animator.network.controls
-    return np.abs(values - controls.rest)[:, ControlGroups(controls).follows_mouth].max(axis=1)
-
-
 def chunks(voice, seconds=0.02):
     sound = np.rint(voice * 32767).astype("<i2").tobytes()
     step = 2 * round(RATE * seconds)
@@ -86,7 +80,12 @@ def test_a_sentence_of_a_local_voice_comes_out_with_its_curves(tiny):
     curves = of(CurvesFrame, down)
     count = sum(len(frame.values) for frame in curves)
     assert count / 30 == pytest.approx(len(sound) / 2 / rate, abs=0.07)
-    assert from_rest(face, np.concatenate([frame.values for frame in curves])).max() > 0.02
+    assert (
+        mouth_from_rest(
+            face.face.animator, np.concatenate([frame.values for frame in curves])
+        ).max()
+        > 0.02
+    )
     assert [frame.first for frame in curves] == sorted({frame.first for frame in curves})
 
 
@@ -113,7 +112,7 @@ def test_an_interruption_shuts_the_mouth_and_keeps_the_expression(tiny, voice):
     closing = of(CurvesFrame, down[at:])
     assert closing and not of(TTSAudioRawFrame, down[at:])
     values = np.concatenate([frame.values for frame in closing])
-    assert from_rest(face, values)[CLOSING_FRAMES - 1 :].max() < 1e-6
+    assert mouth_from_rest(face.face.animator, values)[CLOSING_FRAMES - 1 :].max() < 1e-6
     smile = face.names.index("CTRL_L_mouth_cornerPull.ty")
     before = np.concatenate([frame.values for frame in of(CurvesFrame, down[:at])])[:, smile]
     assert np.ptp(values[:, smile]) < 1e-6
@@ -128,7 +127,7 @@ def test_sound_after_an_interruption_is_spoken(tiny, voice):
     sound = b"".join(frame.audio for frame in of(TTSAudioRawFrame, down[at:]))
     assert sound.endswith(b"".join(frame.audio for frame in chunks(voice)))
     values = np.concatenate([frame.values for frame in of(CurvesFrame, down[at:])])
-    assert from_rest(face, values).max() > 0.02
+    assert mouth_from_rest(face.face.animator, values).max() > 0.02
 
 
 def test_a_silent_face_moves_and_hears_the_user(tiny, voice):
@@ -140,4 +139,9 @@ def test_a_silent_face_moves_and_hears_the_user(tiny, voice):
     assert sum(len(frame.values) for frame in curves) >= 10
     assert not of(TTSAudioRawFrame, down)
     assert len(of(InputAudioRawFrame, down)) == len(heard)  # passed on
-    assert from_rest(face, np.concatenate([frame.values for frame in curves])).max() < 0.05
+    assert (
+        mouth_from_rest(
+            face.face.animator, np.concatenate([frame.values for frame in curves])
+        ).max()
+        < 0.05
+    )

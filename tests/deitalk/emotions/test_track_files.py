@@ -1,8 +1,6 @@
 """Keys from any spreadsheet: separators, decimals, encodings; and files that must not block."""
 
 import codecs
-import os
-import threading
 import time
 
 import numpy as np
@@ -105,20 +103,6 @@ def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
             assert "3 keys; at most 2" in refused(read_intensity_curve, path)
         else:
             assert "5 lines; at most 2 keys" in refused(read_intensity_curve, path)
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
-@pytest.mark.parametrize("read", [parse_emotion, read_intensity_curve])
-def test_named_pipe_never_blocks(tmp_path, suffix, read):
-    os.mkfifo(tmp_path / f"pipe{suffix}")
-    errors = []
-    reader = threading.Thread(
-        target=lambda: errors.append(refused(read, tmp_path / f"pipe{suffix}")), daemon=True
-    )
-    reader.start()
-    reader.join(5)
-    assert errors and "is a named pipe, not a file" in errors[0]
 
 
 def test_a_long_table_is_read_in_seconds(tmp_path):

@@ -6,6 +6,7 @@ import torch
 
 from deitalk.config.curves import Config
 from deitalk.models.curve_model import DEITalk
+from deitalk.postprocess.control_groups import ControlGroups
 
 RATE = 16_000
 TINY = {
@@ -53,6 +54,12 @@ def looking(request) -> tuple[DEITalk, float]:
     """A tiny model of each look-ahead, and the most of it in seconds."""
     settings, most = request.param
     return model_that_looks(settings), most
+
+
+def mouth_from_rest(animator, frames) -> np.ndarray:
+    """Largest distance of a control of the mouth from rest, in each of some frames (n, C)."""
+    controls = animator.network.controls
+    return np.abs(frames - controls.rest)[:, ControlGroups(controls).follows_mouth].max(axis=1)
 
 
 def model_that_looks(settings: dict[str, int]) -> DEITalk:

@@ -99,11 +99,6 @@ def test_changes_hold_from_the_sound_on_that_comes_next(tiny, voice, rng):
     assert settled.max() < 0.01  # the head's posture, which the eyes undo, comes slowly
 
 
-def test_intensity_0_gives_the_neutral_reading(tiny, voice):
-    neutral = whole(tiny, voice, emotion="neutral")
-    assert np.abs(whole(tiny, voice, emotion="happy", intensity=0) - neutral).max() < CLOSE
-
-
 def test_mouth_rests_in_silence(tiny):
     frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", life="off")
     mouth = ControlGroups(tiny.controls).follows_mouth

@@ -6,8 +6,7 @@ import pytest
 from deitalk import LiveAnimator
 from deitalk.errors import AudioError, ConfigError
 from deitalk.live.stream import CLOSING_FRAMES
-from deitalk.postprocess.control_groups import ControlGroups
-from tests.deitalk.live.conftest import RATE
+from tests.deitalk.live.conftest import RATE, mouth_from_rest
 from tests.errors import one_line
 
 FACE = ("CTRL_L_mouth_cornerPull.ty", "CTRL_R_brow_down.ty", "CTRL_L_eye_cheekRaise.ty")
@@ -21,12 +20,6 @@ def speak(tiny, voice, seconds, **options):
     return animator, frames, animator.head
 
 
-def from_rest(animator, frames):
-    controls = animator.network.controls
-    mouth = ControlGroups(controls).follows_mouth
-    return np.abs(frames - controls.rest)[:, mouth].max(axis=1)
-
-
 @pytest.mark.parametrize("seconds", PLACES)
 @pytest.mark.parametrize("back", [1, 8])
 def test_mouth_shuts_in_a_tenth_of_a_second(tiny, voice, seconds, back):
@@ -37,9 +30,11 @@ def test_mouth_shuts_in_a_tenth_of_a_second(tiny, voice, seconds, back):
     animator.interrupt(**given)
     (frames,) = animator.read()
     assert len(frames) >= CLOSING_FRAMES  # at once, without more sound
-    rest = from_rest(animator, frames)
+    rest = mouth_from_rest(animator, frames)
     assert rest[CLOSING_FRAMES - 1 :].max() < 1e-6
-    assert rest[0] <= max(from_rest(animator, shown[None])[0], from_rest(animator, frames).max())
+    assert rest[0] <= max(
+        mouth_from_rest(animator, shown[None])[0], mouth_from_rest(animator, frames).max()
+    )
     places = [animator.names.index(name) for name in FACE]
     assert np.abs(frames[:, places] - shown[places]).max() < 1e-6
     turn = np.abs(np.diff(np.concatenate((head[-back][None], animator.head)), axis=0))
@@ -54,7 +49,7 @@ def test_sound_that_comes_next_begins_at_the_frame_that_is_returned(tiny, voice,
     count = len(before) + sum(map(len, after))
     assert abs(count - place - 60) <= 1
     later = np.concatenate(after)[place - len(before) :]
-    assert from_rest(animator, later[:45]).max() > 0.05  # it speaks again
+    assert mouth_from_rest(animator, later[:45]).max() > 0.05  # it speaks again
 
 
 @pytest.mark.parametrize("size", [400, 7777])
@@ -99,7 +94,7 @@ def test_a_second_interruption_is_as_the_first(tiny, voice):
     for _ in range(3):
         animator.interrupt()
         (frames,) = animator.read()
-        assert from_rest(animator, frames)[CLOSING_FRAMES - 1 :].max() < 1e-6
+        assert mouth_from_rest(animator, frames)[CLOSING_FRAMES - 1 :].max() < 1e-6
         animator.feed(voice[: RATE // 5])
 
 

@@ -204,14 +204,6 @@ def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper,
     assert np.abs(alone.emotional - expected.emotional).max() > 0.01, "the floor matters"
 
 
-def test_actors_differ_as_they_do_in_torch(whisper, exported_whisper):
-    sound, rows = speechlike(1.0), weights(30, angry=1)
-    assert exported_whisper.actors == ("ann", "bob") == whisper.actors
-    ann, bob = (exported_whisper.read(sound, rows, name).emotional for name in ("ann", "bob"))
-    assert np.abs(ann - bob).max() > 0.01
-    np.testing.assert_allclose(ann, whisper.read(sound, rows, "ann").emotional, atol=1e-4)
-
-
 def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal):
     for n_frames in (1, 40):
         sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]

@@ -1,4 +1,4 @@
-"""Delay of the face, and handles: through every door that writes curves."""
+"""Delay of the face, and handles, of what is written."""
 
 import json
 
@@ -7,14 +7,12 @@ import pytest
 import soundfile
 
 from deitalk import animate
-from deitalk.batch.run import animate_batch
 from deitalk.postprocess.edges import edge_of
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.curves.shift import shift, start_with_handles
 from rig.errors import CurveError
 from tests.command import ran, refused
-from tests.deitalk.batch.conftest import InProcess
 from tests.errors import one_line
 
 RATE = 16_000
@@ -25,9 +23,7 @@ CASES = [(0, 8, 24.0), (3, 0, 30.0), (-2, 0, 24.0), (1, 8, 23.976), (4, 2, 60.0)
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shift")
-    soundfile.write(folder / "line.wav", speechlike(1.2), 48_000 // 3, subtype="PCM_16")
-    (folder / "lines").mkdir()
-    soundfile.write(folder / "lines" / "line.wav", speechlike(1.2), RATE, subtype="PCM_16")
+    soundfile.write(folder / "line.wav", speechlike(1.2), RATE, subtype="PCM_16")
     return folder
 
 
@@ -44,22 +40,15 @@ def wanted(performance, delay, handles, fps):
 
 
 @pytest.mark.parametrize(("delay", "handles", "fps"), CASES)
-def test_python_command_batch_and_convert_write_the_same(
-    place, model, performance, delay, handles, fps, tmp_path, monkeypatch
-):
-    monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
+def test_python_and_convert_write_the_same(performance, delay, handles, fps, tmp_path):
+    """Other doors: `tests.api.test_parity`."""
     form = {"fps": fps, "delay": delay, "handles": handles}
+    saved = performance.save(tmp_path / "python.csv", **form)
+    converted = tmp_path / "converted.csv"
     options = [f"--{name}={value}" for name, value in form.items()]
-    found = [performance.save(tmp_path / "python.csv", **form)]
-    found.append(tmp_path / "command.csv")
-    ran("animate", place / "line.wav", "-o", found[-1], "--model", model, "-e", "happy", *options)
-    animate_batch(place / "lines", tmp_path / "out", "happy", model=model, **form)
-    found.append(tmp_path / "out" / "line.csv")
-    take = performance.save(tmp_path / "take")
-    found.append(tmp_path / "converted.csv")
-    ran("convert", take, found[-1], *options)
+    ran("convert", performance.save(tmp_path / "take"), converted, *options)
     rows = wanted(performance, delay, handles, fps)
-    for path in found:
+    for path in (saved, converted):
         curves = read_curves(path)
         assert curves.values.shape == rows.shape, path
         assert np.abs(curves.values - rows).max() < 1e-5, path

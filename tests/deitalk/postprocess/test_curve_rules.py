@@ -41,13 +41,6 @@ def constant(value):
     return np.full(T, value, np.float32)
 
 
-@given(st.integers(0, 50), st.floats(0, 1))
-def test_blend_at_intensity_0_is_exactly_the_neutral_reading(seed, predicted):
-    neutral, emotional = readings(seed, closed=0.5)
-    blended = blend(neutral, emotional, constant(0), constant(predicted))
-    assert np.array_equal(blended, neutral)
-
-
 def test_blend_at_the_predicted_intensity_is_the_emotional_reading():
     neutral, emotional = readings()
     blended = blend(neutral, emotional, constant(0.6), constant(0.6))

@@ -3,26 +3,16 @@
 import numpy as np
 import pytest
 
-from rig import RigCurves, default_controls, write_curves
+from rig import write_curves
 from rig.face import build_head
 from rig.mesh.glb import read_container
-from rig.mesh.glb_reader import read_accessor
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.blendshapes import match_shapes
 from rig.retarget.correctives import half_weight
 from rig.retarget.head_glb import CORRECTIVES, arkit_pose, corrective_weights, write_head
 from rig.retarget.retarget_files import read_shapes, retarget_curves
-
-BOARD = default_controls()
-
-
-def board(*poses):
-    values = np.tile(BOARD.rest, (len(poses), 1))
-    for row, pose in zip(values, poses, strict=True):
-        for name, value in pose.items():
-            row[[i for i, n in enumerate(BOARD.names) if n.startswith(name)]] = value
-    return RigCurves(values, BOARD.names)
-
+from tests.rig.retarget.test_blendshapes import board
+from tests.rig.retarget.test_retarget_files import glb_weights
 
 TOGETHER = {f"CTRL_{s}_mouth_lipsTogether{r}": 0.7 for s in "LR" for r in "UD"}
 TAKE = board(
@@ -35,10 +25,7 @@ TAKE = board(
 
 
 def animated_weights(path):
-    document, binary = read_container(path)
-    sampler = document["animations"][0]["samplers"][0]
-    names = document["meshes"][0]["extras"]["targetNames"]
-    return names, read_accessor(document, binary, sampler["output"]).reshape(-1, len(names))
+    return read_container(path)[0]["meshes"][0]["extras"]["targetNames"], glb_weights(path)
 
 
 def test_halves_are_on_in_the_middle():

@@ -67,7 +67,7 @@ def test_thinned_and_differently_spelt_curves_are_put_on_every_frame(tmp_path, m
     module = fake_unreal.make_unreal()
     _, export = scripts(module, monkeypatch)
     sequence = fake_unreal.AnimSequence()
-    sequence.controller.rate, sequence.controller.n_frames = fake_unreal.FrameRate(30, 1), 9
+    sequence.controller.frame_rate, sequence.controller.n_frames = fake_unreal.FrameRate(30, 1), 9
     every = [i / 30 for i in range(10)]
     sequence.curves = {
         "ctrl_expressions_jawopen": ([0.0, 3 / 30, 9 / 30], [0.0, 0.6, 0.0]),

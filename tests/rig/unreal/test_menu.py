@@ -81,7 +81,8 @@ def test_recording_is_animated_imported_and_placed(tmp_path, monkeypatch, sound,
     assert module.assets["/Game/deitalk/line_happy"] is animation
     assert sum(name.startswith("CTRL_") for name in animation.curves) == 251
     sequence = module.opened
-    assert sequence is module.assets["/Game/deitalk/LS_line"] and sequence.playback == (0, 60)
+    assert sequence is module.assets["/Game/deitalk/LS_line"]
+    assert (sequence.playback_start, sequence.playback_end) == (0, 60)
     parent, face = sequence.bindings
     assert (parent.target, face.target, face.parent) == (anna, anna.components[1], parent)
     (section,) = face.tracks[0].sections
@@ -116,7 +117,7 @@ def test_second_emotion_replaces_the_first_at_the_same_place(
     face = module.opened.bindings[1]
     placed = [(s.start, s.params.animation) for s in face.tracks[0].sections]
     assert placed == [(0, second), (100, again)] and len(module.opened.bindings) == 2
-    assert module.opened.playback == (0, 160)
+    assert (module.opened.playback_start, module.opened.playback_end) == (0, 160)
     starts = [s.start for track in module.opened.audio for s in track.sections]
     assert starts == [0, 100]  # one sound at each place
     assert {"/Game/deitalk/line_sad", "/Game/deitalk/line_sad_2"} <= set(module.assets)
@@ -128,7 +129,7 @@ def test_animation_of_others_is_never_blended_or_removed(tmp_path, monkeypatch, 
     module = editor(tmp_path, anna, level_sequence=sequence)
     menu = menu_inside(module, monkeypatch, stand_in)
     theirs = fake_unreal.AnimSequence()
-    theirs.path, theirs.controller.n_frames = "/Game/Mocap/AS_1.AS_1", 30
+    theirs.path_name, theirs.controller.n_frames = "/Game/Mocap/AS_1.AS_1", 30
     menu.placing.place(theirs, None, anna.components[1], sequence, 30)
     with pytest.raises(menu.DeitalkError, match=r"has /Game/Mocap/AS_1\.AS_1 from frame 30 to 54"):
         menu.animate_audio(sound, start_frame=20)
@@ -212,7 +213,7 @@ def test_window_gives_sound_emotion_and_intensity(tmp_path, monkeypatch, sound, 
 
     def fill_in(options):
         assert options.get_editor_property("intensity") == 1.0
-        options.get_editor_property("file").path = sound
+        options.get_editor_property("file").file_path = sound
         kind = options.types["emotion"]
         options.values["emotion"] = kind.SURPRISED
         options.set_editor_property("intensity", 0.5)
@@ -390,7 +391,7 @@ def test_live_link_take_chooses_its_subject_on_the_only_face(
     module.assets[placing.LIVE_LINK[version]] = fake_unreal_editor.LiveLinkBlueprint
     placing.live_link_take(str(tmp_path / "line_take_1_anna.csv"))
     face = anna.components[1]
-    assert face.instance.subject.name == "anna" and face.updates
+    assert face.anim_instance.LLink_Face_Subj.name == "anna" and face.updates
     assert "BP_Anna shows the Live Link subject anna" in module.messages
     monkeypatch.setattr(
         fake_unreal_editor.LiveLinkBlueprint, "set_editor_property", lambda *given: None

@@ -86,7 +86,7 @@ def test_anim_sequence_gets_every_raw_curve_in_one_bracket(take, monkeypatch):
     sequence = run_inside(module, monkeypatch).anim_sequence(take)
     assert module.assets["/Game/deitalk/my_take"] is sequence and module.saved == [sequence]
     assert sequence.controller.n_brackets == 1 and sequence.controller.depth == 0
-    assert sequence.controller.n_frames == 3 and sequence.controller.rate.numerator == 30
+    assert sequence.controller.n_frames == 3 and sequence.controller.frame_rate.numerator == 30
     raw = [name for name in sequence.curves if name.startswith("CTRL_expressions_")]
     others = {name: values[1] for name, values in sequence.curves.items() if name not in raw}
     assert len(raw) == 251
@@ -207,7 +207,7 @@ def test_rates_that_are_no_multiple_of_the_new_assets_30_are_set(tmp_path, monke
     module = fake_unreal.make_unreal(skeletons=[SKELETON])
     sequence = run_inside(module, monkeypatch).anim_sequence(str(tmp_path / "a.unreal.json"))
     controller = sequence.controller
-    assert (controller.rate.numerator, controller.rate.denominator) == rate
+    assert (controller.frame_rate.numerator, controller.frame_rate.denominator) == rate
     assert controller.n_frames == 12 and controller.errors == []
     times, values = sequence.curves["CTRL_expressions_jawOpen"]
     assert times == pytest.approx([i * rate[1] / rate[0] for i in range(13)])
@@ -220,7 +220,7 @@ def test_odd_rate_of_a_phone_is_put_on_the_nearest_standard_rate_in_true_time(
     write_curves(tmp_path / "a.unreal.json", speech(600, 10000 / 167))
     module = fake_unreal.make_unreal(skeletons=[SKELETON])
     sequence = run_inside(module, monkeypatch).anim_sequence(str(tmp_path / "a.unreal.json"))
-    rate = sequence.controller.rate
+    rate = sequence.controller.frame_rate
     assert (rate.numerator, rate.denominator) == (60000, 1001)
     times, values = sequence.curves["CTRL_expressions_jawOpen"]
     # the ramp rises by 1/600 each 167/10000 s

@@ -17,13 +17,11 @@ from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.lips import as_markdown, evaluate
-from deitalk.research.lips import vocabulary
 from deitalk.research.lips.dataset import write_lip_dataset
 from deitalk.research.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import COLUMNS, read_lips
 from deitalk.research.lips.transfer import CONTACT, LipRidge, LipTransfer
-from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
 from rig.face.head import build_head
@@ -424,49 +422,3 @@ def test_model_follows_real_lips_better_than_loudness_does(shared):
     for measure in ("opening", "jaw", "lower_lip"):
         ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
         assert ours > level + 0.1 and ours > 0.4
-
-
-def test_frames_of_the_other_half_of_the_words_are_missing(measured, tmp_path):
-    """one lies at 0.5 to 0.9 s, two at 0.9 to 1.5 s; in the alphabet one is the first."""
-    kept = keep_half(measured, tmp_path / "ones", 0)
-    alone = keep_half(measured, tmp_path / "two", 1, alone=True)
-    times = (np.arange(50) + 0.5) / 25
-    one, two = ((times >= a) & (times < b) for a, b in ((0.5, 0.9), (0.9, 1.5)))
-    table = np.load(measured / "video/a.npz")["meas"]
-    for folder, known, share in (("ones", ~two, kept), ("two", two, alone)):
-        found = np.load(tmp_path / folder / "a.npz")["meas"]
-        assert (found[known] == table[known]).all() and (found[~known] == -32768).all()
-        assert share == pytest.approx(known.mean())
-        clip = read_lips(tmp_path / folder, 9.0)[0]
-        assert clip.sound.read_bytes() == (measured / "video/a.wav").read_bytes()
-    assert one.any() and halves(["b", "a", "c", "b"]) == {"a": 0, "b": 1, "c": 0}
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda folder: (folder / "columns.json").unlink(),
-        lambda folder: np.savez(folder / "video/a.npz", other=np.zeros(3)),
-        lambda folder: (folder / "video/a.npz").unlink(),
-        lambda folder: (folder / "video/a.wav").unlink(),
-    ],
-)
-def test_halves_of_a_damaged_folder_are_refused_in_one_line(measured, tmp_path, capsys, damage):
-    damage(measured)
-    assert vocabulary.main([str(measured), "0", "-o", str(tmp_path / "out")]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_halves_of_words_are_refused_in_one_line(measured, tmp_path, capsys):
-    rows = (measured / "clips.csv").read_text().replace("two:", "one:")
-    (measured / "clips.csv").write_text(rows)
-    assert vocabulary.main([str(measured), "0", "-o", str(tmp_path / "out")]) == 1
-    assert "has 1 words; two halves need two" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-    (measured / "clips.csv").write_text(rows.replace("one:0.90", "two:0.90"))
-    assert vocabulary.main([str(measured), "0", "-o", str(tmp_path / "out")]) == 0
-    assert "70 % of the frames" in capsys.readouterr().out
-    (tmp_path / "out/notes.txt").write_text("mine")
-    assert vocabulary.main([str(measured), "1", "-o", str(tmp_path / "out")]) == 1
-    assert (tmp_path / "out/notes.txt").read_text() == "mine"

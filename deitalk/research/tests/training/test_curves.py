@@ -23,7 +23,6 @@ from deitalk.research.training.curves import TrainingLoss, TrainingTask, train_c
 from deitalk.research.training.pictures import clip_rows, shown_examples
 from rig import default_controls
 from tests.dataset import write_dataset
-from tests.deitalk.training.conftest import killed_at
 
 CONTROLS = default_controls()
 TINY = Path(__file__).resolve().parents[4] / "configs" / "tiny.yaml"
@@ -70,23 +69,6 @@ def test_run_leaves_exactly_its_files(finished):
     assert np.isfinite(metrics[["position", "velocity", "total", "gradient_norm"]]).all().all()
     scores = pd.read_csv(finished / "development.csv")
     assert scores["step"].tolist() == [3, 6]
-
-
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, finished, tmp_path):
-    out = tmp_path / "killed"
-    whole = tiny("model.dropout=0.1")
-    with killed_at(4):
-        train_curves(whole, data, out)
-    reported: list[int] = []
-    best = train_curves(
-        whole, data, out, resume=True, progress=lambda step, total, _: reported.append(step)
-    )
-    assert reported == [3, 6, 6], "from the saved state to the last step and its evaluation"
-    for kind in ("best", "last"):
-        assert equal(out / kind, finished / kind), kind
-    for name in ("metrics.csv", "development.csv"):
-        assert (out / name).read_text() == (finished / name).read_text(), "no row twice"
-    assert set(best) == {"step", "development"}
 
 
 def test_resuming_rejects_a_damaged_state(data, finished, tmp_path):

@@ -14,7 +14,6 @@ from deitalk.research.training.curves import TrainingTask, train_curves
 from deitalk.research.training.distillation import Teacher, read_teacher
 from deitalk.training.curve_losses import start_as
 from tests.dataset import write_dataset
-from tests.deitalk.training.conftest import killed_at
 
 TINY = Path(__file__).resolve().parents[4] / "configs" / "tiny.yaml"
 FRONTEND = (
@@ -124,16 +123,6 @@ def test_saved_model_contains_no_teacher_and_loads_without_it(finished, teacher)
     assert set(weights(finished / "best")) == names
     assert str(teacher) in (finished / "config.yaml").read_text(), "the run names the teacher"
     assert str(teacher) not in (finished / "best" / "config.yaml").read_text()
-
-
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, teacher, finished, tmp_path):
-    out = tmp_path / "killed"
-    with killed_at(4):
-        train_curves(student(teacher), data, out)
-    train_curves(student(teacher), data, out, resume=True)
-    first, second = weights(out / "last"), weights(finished / "last")
-    assert all(torch.equal(first[name], second[name]) for name in first)
-    assert (out / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
 
 
 def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):

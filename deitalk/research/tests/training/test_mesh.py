@@ -46,7 +46,6 @@ from tests.deitalk.models.test_mesh_model import (
     spoken,
     tiny,
 )
-from tests.deitalk.training.conftest import killed_at
 
 CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 
@@ -160,20 +159,6 @@ def test_run_leaves_exactly_its_files(finished):
     expected = ["step", *terms, "lips", "total", "gradient_norm", "learning_rate"]
     assert list(metrics) == expected and np.isfinite(metrics).all().all()
     assert pd.read_csv(finished / "development.csv")["step"].tolist() == [2, 4]
-
-
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(sequences, finished, tmp_path):
-    config = resumable(workers=2)
-    with killed_at(3):  # after the evaluation and save of step 2, and one step more
-        train_mesh(config, sequences, tmp_path / "run")
-    train_mesh(config, sequences, tmp_path / "run", resume=True)
-    for kind in ("best", "last"):
-        one, two = (load_model(run / kind).state_dict() for run in (tmp_path / "run", finished))
-        assert all(torch.equal(one[name], two[name]) for name in one), kind
-    one, two = (torch.load(run / "state.pt") for run in (tmp_path / "run", finished))
-    assert str(one["balance"]) == str(two["balance"])
-    for name in ("metrics.csv", "development.csv"):
-        assert (tmp_path / "run" / name).read_text() == (finished / name).read_text()
 
 
 def test_pictures_show_what_the_training_changes(finished):

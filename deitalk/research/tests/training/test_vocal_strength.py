@@ -22,7 +22,6 @@ from deitalk.research.evaluation.strength_clips import (
     StrengthClip,
 )
 from deitalk.research.training.vocal_strength import main, train
-from tests.errors import one_line
 
 
 def planted(rng, kind, speaker, group, strength, emotion="", level=""):
@@ -95,7 +94,8 @@ def test_train_rejects_too_few_speakers(clips):
         train([clip for clip in clips if clip.clip.speaker in "01"])
 
 
-def test_command_rejects_a_missing_table_in_one_line(tmp_path):
+def test_command_rejects_a_missing_table_in_one_line(tmp_path, capsys):
     table = str(tmp_path / "none.csv")
-    with one_line(SystemExit, "none.csv"):
-        main(["--readers", table, "--actors", table])
+    assert main(["--readers", table, "--actors", table]) == 1
+    error = capsys.readouterr().err
+    assert "none.csv" in error and error.count("\n") == 1

@@ -1,6 +1,5 @@
 """`data check --fix`: what is planted is written back, all else stays."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from deitalk.models.checkpoint import load_model
 from deitalk.pipeline.curves import animate
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.deitalk.cli.test_cli import ROOT
+from tests.deitalk.data.captures.test_import import rows_of
 from tests.written import changed_files
 
 CONTROLS = default_controls()
@@ -48,11 +48,6 @@ def data(takes, tmp_path) -> Path:
     labels = {"actor": "anna", "emotion": "neutral"}
     import_captures([takes], tmp_path / "data", **labels, keep_listening=True)
     return tmp_path / "data"
-
-
-def rows_of(folder: Path) -> list[dict[str, str]]:
-    with (folder / "clips.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def test_offset_of_the_late_take_and_the_open_jaw_are_found_and_fixed(data):

@@ -126,20 +126,6 @@ def test_interval_follows_the_settings():
     assert len(few) < 0.45 * len(many)
 
 
-@pytest.mark.parametrize("piece", [1, 7])
-def test_eyes_of_pieces_are_those_of_the_whole(piece):
-    voice = talk(30)
-    whole = looks_of(voice), lids_of().play(ONE, FIRST, 900)[0]
-    gaze, lids, parts = gaze_of(voice), lids_of(), []
-    for at in range(0, 900, piece):
-        size = min(piece, 900 - at)
-        first = np.array([at])
-        looks = gaze.play(ONE, first, size, np.full((1, size), 65.0))
-        parts.append((looks[0], lids.play(ONE, first, size)[0]))
-    for ours, part in zip(whole, zip(*parts, strict=True), strict=True):
-        np.testing.assert_allclose(np.concatenate(part), ours, atol=1e-9)
-
-
 @pytest.mark.parametrize("voice", [talk(300), silence(300)], ids=["talking", "silent"])
 @pytest.mark.parametrize("seed", range(4))
 def test_saccades_are_as_frequent_as_captured_ones(voice, seed):

@@ -157,18 +157,6 @@ def test_a_gesture_moves_what_its_row_says_and_yields_to_an_emotion():
     assert right == pytest.approx(left / 2, abs=1e-6)
 
 
-@pytest.mark.parametrize("piece", [1, 7])
-def test_pieces_give_the_same_tracks(piece):
-    voice = reading(6)
-    whole, face, parts = events(voice), face_of(), []
-    face.cue(voice.cues())
-    for at in range(0, 180, piece):
-        size = min(piece, 180 - at)
-        parts.append(face.play(ONE, np.array([at]), np.ones((1, size))))
-    for ours, pieces in zip(whole, zip(*parts, strict=True), strict=True):
-        np.testing.assert_allclose(np.concatenate([p[0] for p in pieces]), ours, atol=1e-12)
-
-
 # What people do: ranges (95th less 5th percentile), speeds and shares of stillness of five captured
 # takes, see docs/life.md.
 PEOPLE = [
