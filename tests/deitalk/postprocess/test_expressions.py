@@ -49,7 +49,8 @@ def test_pose_and_gain_are_those_of_the_table():
 
 
 @pytest.mark.parametrize(
-    ("mood", "control", "pose"), [("fear", "mouth_stretch", 0.9), ("contempt", "mouth_dimple", 0.95)]
+    ("mood", "control", "pose"),
+    [("fear", "mouth_stretch", 0.9), ("contempt", "mouth_dimple", 0.95)],
 )
 def test_corners_of_a_mood_stay_through_a_closure(mood, control, pose):
     neutral = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
