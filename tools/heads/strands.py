@@ -28,7 +28,7 @@ FINE = 3
 WAVE_CM, ALONG = 2.1, 0.8
 """Length of a wave of long hair, cm for a radian, and how much of it lies along the surface."""
 DOWN = np.array([0.0, -1.0, 0.0])
-FRONT = (-10.2, 6.5)
+FRONT = (-9.9, 4.7)
 """Height, cm, at which hair ends that hangs farther in front: below it no neck turns with the head."""
 
 FACE = (5.0, 6.8, 5.0)
