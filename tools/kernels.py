@@ -549,7 +549,7 @@ def _paint(
             z_eye + across * to_eye[1, 2],
         )  # fmt: skip
         is_thin = (kind == _HAIR) | (kind >= _CLOTH)
-        way = F(-1) if is_thin & (nx * vx + ny * vy + nz * vz < F(0)) else F(1)
+        back = F(2) * min(nx * vx + ny * vy + nz * vz, F(0)) if is_thin else F(0)
         is_skin = F(1) if kind == _SKIN else F(0)
         is_cloth = F(1) if kind == _CLOTH else F(0)
         often, side = F(PORES) + is_cloth * F((CLOTH_PORES - 1) * PORES), len(pores)
@@ -559,9 +559,9 @@ def _paint(
         pore = pores[y, x]
         grain = _byte(pore, 0) * F(1 / 127.5) - F(1)
         tilt = is_skin * _PORE_TILT
-        places[NX + i] = way * nx + tilt * (_byte(pore, 1) * F(1 / 127.5) - F(1))
-        places[NY + i] = way * ny + tilt * (_byte(pore, 2) * F(1 / 127.5) - F(1))
-        places[NZ + i] = way * nz
+        places[NX + i] = nx - back * vx + tilt * (_byte(pore, 1) * F(1 / 127.5) - F(1))
+        places[NY + i] = ny - back * vy + tilt * (_byte(pore, 2) * F(1 / 127.5) - F(1))
+        places[NZ + i] = nz - back * vz
         places[GLOSS + i] *= F(1) + _PORE_GLOSS * is_skin * grain
         places[KEPT + i] = F(1) + (_PORE_SHADE * is_skin + F(CLOTH_SHADE) * is_cloth) * grain
         places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)

@@ -64,6 +64,8 @@ far behind the lips there is none, cm."""
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
+BURIED = 0.5
+"""How much darker strands are below all others."""
 LEAST_ASIDE = 0.6
 """Least ambient light of ears, neck and what of the cheeks lies below hair."""
 
@@ -328,11 +330,15 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     gloss[slices["skin"]] *= 1 - 0.8 * within  # roots shine less
     gloss[slices["seam"]] = gloss[joined.weld[slices["seam"]]]
     light = _light(base, shapes, person, joined, picture)
+    light[slices["hair"]] *= (1 - BURIED * hair.buried(joined.points[slices["hair"]]))[:, None]
     x, y, z = shapes.average[: base.n_skin].T  # brows that rise take no shadow along
     brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5)
     brow *= smooth((z - 4) / 3) * smooth((6.5 - abs(x)) / 1.5)
     light[slices["skin"]] += (0.4 * brow)[:, None] * (1 - light[slices["skin"]])
     aside = np.maximum(smooth((abs(x) - 4.4) / 1.2), smooth((-8.0 - y) / 1.5))
+    if hair.is_long:  # it keeps light from neck and ears
+        gap = cKDTree(joined.points[slices["hair"]]).query(joined.points[slices["skin"]])[0]
+        aside *= 1 - 0.6 * np.exp(-((gap / 2.5) ** 2))
     sky = light[slices["skin"], 0]  # where none comes, flesh glows as in the mouth
     light[slices["skin"], 0] = np.maximum(sky, LEAST_ASIDE * aside)
     if hair.is_long:  # no black gaps between locks

@@ -25,12 +25,16 @@ AXIS_Z, ROUND_CM = -0.8, 7.6
 """Depth of the axis of `LINE`, and how far it is from the skin."""
 FINE = 3
 """Steps in which each part of a card is worked out."""
+WAVE_CM, ALONG = 2.1, 0.8
+"""Length of a wave of long hair, cm for a radian, and how much of it lies along the surface."""
 DOWN = np.array([0.0, -1.0, 0.0])
-FRONT = (-10.2, 6.5)
+FRONT = (-9.9, 4.7)
 """Height, cm, at which hair ends that hangs farther in front: below it no neck turns with the head."""
 
 FACE = (5.0, 6.8, 5.0)
 """How near to the middle, below which height and in front of what depth no long hair falls, cm."""
+FACE_EDGE = 1.8
+"""How much farther from the middle some locks end, so that their border is uneven, cm."""
 
 
 def unit(x):
@@ -191,6 +195,12 @@ class Hair:
         warm = 0.03 * self.rng.normal(size=len(points))
         return light[:, None] * (1 + warm[:, None] * [1.0, 0.0, -1.2])
 
+    def buried(self, points):
+        """How deep points of the hair (N, 3) lie below those about them, 0 to 1."""
+        _, high, _ = self.surface(points)
+        near = cKDTree(points).query(points, k=48)[1]
+        return np.clip((high[near] - high[:, None]) / (0.5 * self.scale), 0, 1).mean(1)
+
     def ear(self, points):
         """1 at the ears, 0 far from them."""
         _, y, z = points.T / self.scale
@@ -263,7 +273,10 @@ class Hair:
         faces = np.concatenate([at + [0, 2, 1], at + [2, 3, 1]])
         far = np.linspace(0, 1, n)[:, None].repeat(2, 1)
         root = 1 if wisps else self.look["root"]
-        tones = tone[:, None, None] * (root + (1 - root) * smooth(far / 0.35))[..., None]
+        far = smooth(far / 0.4)[..., None]  # locks differ from each other off the scalp
+        tones = (root + (1 - root) * far) * (
+            tone.mean() + far * (tone[:, None, None] - tone.mean())
+        )
         if self.look["style"] == "coils":
             uv = (uv + [coils.CARDS[0], 1 - coils.CARDS[1]]) / 2
         points = points.reshape(-1, 3)
@@ -289,23 +302,32 @@ def grow(person: Person, hair: Hair) -> Part:
             comb = unit(comb + layer["back"] * tangent(np.array([0, 0.5, -1.0]), normal))
         way = unit(comb + layer.get("stray", 0.1) * rng.normal(size=points.shape)
                    + layer.get("up", 0) * normal)  # fmt: skip
-        uneven = (0.88, 1.06) if hair.is_long else (0.6, 1.2)
+        uneven = (0.94, 1.04) if hair.is_long else (0.6, 1.2)
         high = s * layer["lift"] * rng.uniform(*uneven, count)
+        if hair.is_long:  # what grows lower lies below what falls over it
+            high *= 0.6 + 0.4 * smooth((points[:, 1] / s - 3) / 9)
         high *= np.clip(0.12 + within / 2.2, 0, 1)
         curves, across = hair.grown(
             points, way, length, high, rise=s * layer.get("rise", 2.0), steps=layer["steps"], style=style,
         )  # fmt: skip
+        far = np.linspace(0, 1, curves.shape[1])[None, :, None] * length[:, None, None]
+        if "fan" in layer:  # locks part from each other
+            side = unit(np.cross(across, np.gradient(curves, axis=1)))
+            curves = curves + side * smooth(far / 14) * rng.normal(0, layer["fan"], (count, 1, 1))
         if "wave" in layer:  # neighbours wave together
-            far = np.linspace(0, 1, curves.shape[1])[None, :, None] * length[:, None, None]
             turn = (points @ [[0.5, 0.9, 0.2], [0.7, 0.3, 0.6], [0.2, 0.8, 0.5]])[:, None]
             turn = turn + rng.normal(size=turn.shape) * 0.25
-            curves = curves + layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / 2.4 + turn)
+            wave = layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / WAVE_CM + turn)
+            wave -= ALONG * across * (wave * across).sum(-1, keepdims=True)
+            curves = curves + wave
         if hair.is_long and style != "fringe":  # none falls over the face
             x, y, z = np.moveaxis(curves / s, -1, 0)
-            off = ~((abs(x) < FACE[0]) & (y < FACE[1]) & (z > FACE[2])).any(1)
+            edge = FACE[0] + rng.uniform(0, FACE_EDGE, (count, 1))
+            off = ~((abs(x) < edge) & (y < FACE[1]) & (z > FACE[2])).any(1)
             curves, across, length, points = (a[off] for a in (curves, across, length, points))
             count = len(curves)
-        low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
+        arc = layer.get("arc", 0) * (points[:, 0] / (4 * s)) ** 2
+        low = s * (layer.get("cut", -99) - arc + rng.normal(size=count) * layer.get("ends", 0.5))
         curves, across = _cut(curves, across, low)
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
         tone = layer.get("tone", 1.0) * hair.tones(points)

@@ -88,7 +88,7 @@ PORE_TILT, PORE_SHADE, PORE_GLOSS = 0.13, 0.13, 0.6
 """How far pores tilt the normals of skin, and how much they shade it and vary its gloss."""
 SHEEN = 0.25
 """Light of the sky that surfaces mirror at their edges, for what they scatter there."""
-STRANDS, TINT = 0.35, 3.2
+STRANDS, TINT = 0.35, 5.0
 """How far the highlights of light and dark strands of hair lie apart, and their colour over that of
 the hair."""
 RIM, HAIR_RIM = 0.35, 0.1
@@ -170,7 +170,7 @@ void main() {{
   bool hair = kind == {HAIR} || kind == {FINE}, thin = hair || kind == {CLOTH};
   if (hair ? tint.a < 0.02 || soft == (tint.a > SOLID) : soft) discard;
   if (!thin && !gl_FrontFacing) discard;
-  if (thin && dot(n, v) < 0.0) n = -n;
+  if (thin) n -= 2.0 * min(dot(n, v), 0.0) * v;  // as its outside near the silhouette
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, wet = 0.0, gloss = paint_.a; strand = 1.0;
   if (kind == {SKIN}) {{
