@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from deitalk.frontends.flat_kernel import by_columns
+
 jit: Any = torch.jit
 
 
@@ -25,6 +27,7 @@ def frozen(module: nn.Module, example: tuple[Tensor, ...]) -> Callable[..., Any]
     """
     if example[0].device.type != "cpu":
         return module
+    by_columns(module)
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the tracer's own, on constants that are meant
         graph = jit.freeze(jit.trace(module.eval(), example, check_trace=False))

@@ -1,4 +1,4 @@
-"""Columns of curves in torch, by operations that every runtime of ONNX has (none scatters)."""
+"""Columns of curves in torch; in a graph of ONNX none scatters, which not every runtime can."""
 
 from typing import Any
 
@@ -41,7 +41,9 @@ class Columns(nn.Module):
 
     def put(self, curves: Tensor, values: Tensor) -> Tensor:
         """Replace them in curves (..., C) by values (..., K)."""
-        return torch.cat((curves, values), dim=-1).index_select(-1, self.order)
+        if torch.onnx.is_in_onnx_export():
+            return torch.cat((curves, values), dim=-1).index_select(-1, self.order)
+        return curves.index_copy(-1, self.places, values)  # in a quarter of the time
 
 
 def constant(module: nn.Module, name: str, values: Any) -> None:

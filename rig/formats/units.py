@@ -59,7 +59,7 @@ def seconds_of(
     if not (steps > 0).all():
         row = int(np.argmax(~(steps > 0))) + 2
         raise FormatError(f"{where}: data row {row} comes not after the one before; sort the times")
-    step = float(np.median(steps))
+    step = float(np.sort(steps)[len(steps) // 2])  # np.median imports masked arrays
     if is_known:
         return times, ""
     if step == 1 and (times == np.rint(times)).all():

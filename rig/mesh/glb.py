@@ -263,17 +263,17 @@ def _add_mesh(
     place[used] = np.arange(len(used))
     for vertices, shift in shapes.moved:
         at = place[vertices]
-        moves = (np.einsum("vc,vc->v", shift, shift) > still) & (at >= 0)
-        moved.append((at[moves], shift[moves]))
+        moves = np.flatnonzero((np.einsum("vc,vc->v", shift, shift) > still) & (at >= 0))
+        moved.append((np.take(at, moves), np.take(shift, moves, axis=0)))
     normals, targets = MovedNormals(mesh), []
     for moving, shift in moved:
         turned, turn = normals.turn(moving, shift)
-        is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
+        seen = np.flatnonzero(np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2)
         targets.append(
             {
                 "POSITION": builder.sparse(len(used), moving, metres * shift),
                 "NORMAL": builder.sparse(
-                    len(used), turned[is_seen], turn[is_seen], is_bounded=False
+                    len(used), turned[seen], np.take(turn, seen, axis=0), is_bounded=False
                 ),
             }
         )

@@ -186,9 +186,8 @@ class MovedNormals:
         sums = _corner_sums(mesh.faces, products, count)
         self.rest = _unit(sums)
         # Coordinates and corners each in a row of their own, which is faster.
-        self._vertices, self._sums, self._normals, self._products = (
-            np.ascontiguousarray(array.T, np.float32)
-            for array in (mesh.vertices, sums, self.rest, products)
+        self._vertices, self._sums, self._products = (
+            np.ascontiguousarray(array.T, np.float32) for array in (mesh.vertices, sums, products)
         )
         self._faces = np.ascontiguousarray(mesh.faces.T)
         # Faces of each vertex (most, V), filled up with a face that is none.
@@ -205,8 +204,7 @@ class MovedNormals:
         Vertices of no face do not move. Changes are exact to 1e-4.
         """
         is_touched = np.zeros(self._faces.shape[1] + 1, bool)
-        for faces in self._faces_of:
-            is_touched[faces[moving]] = True
+        is_touched[np.take(self._faces_of, moving, axis=1)] = True
         touched = np.flatnonzero(is_touched[:-1])
         corners: Int64 = np.take(self._faces, touched, axis=1)
         is_turned = np.zeros(len(self._place), bool)
@@ -216,29 +214,25 @@ class MovedNormals:
         corners = np.take(self._place, corners)
         is_used = is_turned[moving]
         place, delta = self._place[moving[is_used]], delta[is_used]
-        first, second, third = corners
         sides = []
         for axis, by in zip(self._vertices, delta.T, strict=True):
-            posed = axis[turned]
+            posed = np.take(axis, turned)
             posed[place] += by
-            start = posed[first]
-            sides.append((posed[second] - start, posed[third] - start))
+            first, second, third = np.take(posed, corners)
+            sides.append((second - first, third - first))
         (x, u), (y, v), (z, w) = sides
-        change = np.empty((len(turned), 3), np.float32)
+        sums = np.empty((3, len(turned)))
         for axis, product in enumerate((y * w - z * v, z * u - x * w, x * v - y * u)):
-            product -= self._products[axis][touched]
-            sums = np.bincount(corners.ravel(), np.tile(product, 3), len(turned))
-            change[:, axis] = sums + self._sums[axis][turned]
-        change[:] = _unit(change)
-        for axis, normals in enumerate(self._normals):
-            change[:, axis] -= normals[turned]
-        return turned, change
+            product -= np.take(self._products[axis], touched)
+            sums[axis] = np.bincount(corners.ravel(), np.tile(product, 3), len(turned))
+            sums[axis] += np.take(self._sums[axis], turned)
+        change = _unit(sums.T) - np.take(self.rest, turned, axis=0)
+        return turned, change.astype(np.float32)
 
 
 def _unit(vectors: AnyFloat) -> Float64:
-    lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))[..., None]
-    unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
-    return unit
+    lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1)[..., None])
 
 
 def degenerate_triangles(mesh: TriMesh) -> Int64:

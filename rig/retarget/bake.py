@@ -169,6 +169,7 @@ def bake(
     poses = np.stack([driver.pose(controls) for _, driver in wanted]).astype(np.float64)
     amounts = [driver.weight(poses, controls) for _, driver in wanted]
     kept: dict[int, Moved] = {}
+    least = (STILL * neutral.size) ** 2
     for k, moved in enumerate(evaluate(poses)):
         if k >= len(halves):
             delta = np.zeros(neutral.vertices.shape, np.float32)
@@ -177,7 +178,7 @@ def bake(
                 if weight:
                     delta[vertices] -= np.float32(weight) * displacement
             moved = moved_of(delta)
-        if np.linalg.norm(moved[1], axis=1).max(initial=0.0) > STILL * neutral.size:
+        if np.einsum("vc,vc->v", moved[1], moved[1]).max(initial=0.0) > least:
             kept[k] = moved
     shapes = SparseShapes(neutral, tuple(wanted[k][0] for k in kept), tuple(kept.values()))
     return BakedRig(shapes, tuple(wanted[k][1] for k in kept), controls)
