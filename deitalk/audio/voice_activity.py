@@ -55,10 +55,10 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
     12 s around, without digital silence, which says nothing of the room: it is between joined
     takes, and at the ends of files. A frame is speech where its four strongest bands rise above
-    the floor, with hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged: a mouth
-    that stays shut during a masked syllable is more visible than one that may move in a short
-    pause. Above -85 dBFS per band the result does not depend on the level, so whispered and quiet
-    recordings work.
+    the floor, with hysteresis, bridged stop closures and clicks removed. In noise longer gaps are
+    bridged: a mouth that stays shut during a masked syllable is more visible than one that may
+    move in a short pause. Above -85 dBFS per band the result does not depend on the level, so
+    whispered and quiet recordings work.
 
     Parameters
     ----------
