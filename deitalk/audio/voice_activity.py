@@ -28,7 +28,9 @@ from rig.arrays import Float32, Int64
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
 TOP_BANDS = 4  # of the 14; speech rises above the noise in a few bands
-SILENCE_DB = -85.0  # per band, dBFS: dither
+SILENCE_DB = -85.0  # per band, dBFS: fainter sound is no speech
+DIGITAL_DB = -100.0  # of every band: zeros, or the dither of 16 bits; no room is so quiet
+DIGITAL_FRAMES = 3  # of them count as a pause: all of a floor until there is .9 s of other sound
 SPEECH_RANGE_DB = 45.0  # below the loudest speech; quieter sound is breath and reverberation
 FLOOR_SECONDS = 12.0  # time in which the noise may change
 FLOOR_PERCENTILE = 10.0
@@ -51,11 +53,12 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     """Frames with speech: 1, all others 0.
 
     The power in 14 bands is compared with a noise floor of its own, the lowest tenth of the
-    12 s around; a frame is speech where its four strongest bands rise above it, with
-    hysteresis, bridged stop closures and clicks removed. In noise longer gaps are bridged: a mouth
-    that stays shut during a masked syllable is more visible than one that may move in a short
-    pause. Above -85 dBFS per band the result does not depend on the level, so whispered and quiet
-    recordings work.
+    12 s around, without digital silence, which says nothing of the room: it is between joined
+    takes, and at the ends of files. A frame is speech where its four strongest bands rise above
+    the floor, with hysteresis, bridged stop closures and clicks removed. In noise longer gaps are
+    bridged: a mouth that stays shut during a masked syllable is more visible than one that may
+    move in a short pause. Above -85 dBFS per band the result does not depend on the level, so
+    whispered and quiet recordings work.
 
     Parameters
     ----------
@@ -100,14 +103,15 @@ def active_frames(levels: Array, tones: Array, n_samples: int) -> Array:
     xp, rule = library(levels), HoldPose()
     held = held_sound(levels, tones, rule).sounding
     held = held | _frames_before(held, BEFORE + rule.frames)
-    above = in_order(levels - _noise_floor(levels, held), axis=1)[:, -TOP_BANDS:].mean(1)
+    floor = _noise_floor(levels, held)
+    above = in_order(audible(levels) - floor, axis=1)[:, -TOP_BANDS:].mean(1)
     excess = xp.where(held, xp.clip(above, OPEN_DB, None), above)
     # Runs of `keeps` that hold at least one frame of `opens`.
     opens, keeps = excess >= OPEN_DB, excess >= KEEP_DB
     opened, ended = neighbours(opens), neighbours(~keeps)
     speech = keeps & ((opened[0] > ended[0]) | (opened[1] < ended[1]))
     # Frames without speech that are no pause.
-    longest = longest_gap(percentile(excess, 95, excess == excess))
+    longest = longest_gap(percentile(excess, 95, tells(levels, excess == excess)))
     last, following = neighbours(speech)
     speech = speech | ((following - last - 1 <= longest) & (last >= 0) & (following < FAR))
     # A single frame is a click, but in a clip that is very short.
@@ -242,7 +246,21 @@ def levels_of_power(power: Array) -> Array:
     """
     bands = power[:, : len(BINS)] @ like(BINS.astype(np.float32), power)
     xp = library(power)
-    return 10 * xp.log10(xp.clip(bands, 10 ** (SILENCE_DB / 10), None))
+    return 10 * xp.log10(xp.clip(bands, 10 ** (DIGITAL_DB / 10), None))
+
+
+def audible(levels: Array) -> Array:
+    """Levels of which none is below `SILENCE_DB`."""
+    return library(levels).clip(levels, SILENCE_DB, None)
+
+
+def tells(levels: Array, used: Array, axis: int = 0) -> Array:
+    """Frames, of those `used` (T, ...), whose bands (T, ..., K) tell of the voice or its room.
+
+    Of digital silence the first `DIGITAL_FRAMES` along the axis of time do, as a pause.
+    """
+    is_digital = used & (library(levels).amax(levels, axis=-1) <= DIGITAL_DB)
+    return used & ((as_index(is_digital).cumsum(axis) <= DIGITAL_FRAMES) | ~is_digital)
 
 
 def _windows(samples: Float32, frames: Int64) -> Float32:
@@ -267,8 +285,8 @@ def _noise_floor(levels: Array, held: Array) -> Array:
     centres = xp.clip(xp.arange((n_frames + hop - 1) // hop + 1) * hop, None, n_frames - 1)
     places = centres + xp.arange(-half, half)[:, None]  # (2 half, N)
     inside = xp.clip(places, 0, n_frames - 1)
-    used = (places == inside) & ~held[inside]
-    rows = levels[inside]  # (2 half, N, K)
+    rows = audible(levels)[inside]  # (2 half, N, K)
+    used = tells(levels[inside], (places == inside) & ~held[inside])
     found = percentile(rows, FLOOR_PERCENTILE, xp.broadcast_to(used[:, :, None], rows.shape))
     lowest = xp.where(as_index(used).sum(0)[:, None] > 0, found, xp.full_like(found, quiet))
     frames = xp.arange(n_frames)
@@ -276,8 +294,8 @@ def _noise_floor(levels: Array, held: Array) -> Array:
     first, second = centres[before], centres[before + 1]
     share = ((frames - first) / xp.clip(second - first, 1, None))[:, None]
     floor = lowest[before] + share * (lowest[before + 1] - lowest[before])
-    highest = xp.amax(levels, axis=1)
-    loudest = percentile(highest, 98, highest == highest)
+    highest = xp.amax(audible(levels), axis=1)
+    loudest = percentile(highest, 98, tells(levels, highest == highest))
     floor = xp.maximum(floor, loudest - SPEECH_RANGE_DB)
     is_short = scalar(n_frames, levels) < SHORT_SECONDS * FRAME_RATE
     return xp.where(is_short, xp.full_like(floor, quiet), floor)

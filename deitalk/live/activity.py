@@ -36,7 +36,9 @@ from deitalk.audio.voice_activity import (
     SHORT_FLOOR_DB,
     SPEECH_RANGE_DB,
     TOP_BANDS,
+    audible,
     longest_gap,
+    tells,
 )
 from deitalk.config.rules import Gates
 from deitalk.postprocess.gates import expression_after, mouth_between
@@ -139,7 +141,7 @@ class RunningActivity:
         gaps, flags = [state.gap[:, :-1]], [state.on > 0]
         on = flags[0][:, -1]
         for k in range(count):
-            excess = in_order(levels[:, k] - floor, axis=1)[:, -TOP_BANDS:].mean(1)
+            excess = in_order(audible(levels[:, k]) - floor, axis=1)[:, -TOP_BANDS:].mean(1)
             on = held[:, k] | (excess >= KEEP_DB) & (on | (excess >= OPEN_DB))
             above = join((above[:, 1:], excess[:, None]), 1)
             gaps.append(gap[:, None])
@@ -195,8 +197,11 @@ class RunningActivity:
 
 def _measured_noise(levels: Array, excess: Array) -> tuple[Array, Array]:
     """Noise floor of each band (B, K), and the longest gap that is no pause (B,)."""
-    xp, known = library(levels), levels < NONE_DB
-    highest = percentile(xp.amax(levels, axis=2), LOUDEST_PERCENTILE, known[..., 0], 1)
-    lowest = percentile(levels, FLOOR_PERCENTILE, known, 1)
-    floor = xp.maximum(lowest, highest[:, None] - SPEECH_RANGE_DB)
-    return floor, longest_gap(percentile(excess, LOUD_PERCENTILE, excess < NONE_DB, 1))
+    xp, highest = library(levels), library(levels).amax(levels, axis=2)
+    known = tells(levels, highest < NONE_DB, 1)
+    loudest = percentile(xp.amax(audible(levels), axis=2), LOUDEST_PERCENTILE, known, 1)
+    used = xp.broadcast_to(known[:, :, None], levels.shape)
+    lowest = percentile(audible(levels), FLOOR_PERCENTILE, used, 1)
+    floor = xp.maximum(lowest, loudest[:, None] - SPEECH_RANGE_DB)
+    heard = tells(levels, excess < NONE_DB, 1)
+    return floor, longest_gap(percentile(excess, LOUD_PERCENTILE, heard, 1))

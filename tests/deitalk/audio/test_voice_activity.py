@@ -7,11 +7,16 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import (
     LONGEST_DROWNED,
     active_level_db,
+    band_levels,
     normalise_level,
     speech_activity,
 )
+from deitalk.config.rules import Gates
+from deitalk.live.activity import RunningActivity
 
 RATE = 16000
+NOISES_DB = {"a synthetic voice": -300, "low noise": -80, "a room": -50, "a noisy room": -38}
+"""White noise around speech of -23 dBFS; that of a synthetic voice is digital silence too."""
 
 
 def voice(seconds, rng, level_db=-23.0):
@@ -37,6 +42,30 @@ def placed(rng, pieces, level_db=-23.0, noise_db=-70.0):
     truth = np.concatenate([np.full(round(abs(p) * 30), float(p > 0)) for p in pieces])
     clean = np.concatenate(parts)
     return clean + noise(len(clean) / RATE, rng, noise_db), truth
+
+
+def digital(seconds, rng, kind):
+    """Zeros, or what 16 bits make of them with triangular dither."""
+    n = round(seconds * RATE)
+    return np.zeros(n) if kind == "zeros" else np.round(rng.triangular(-1, 0, 1, n)) / 32768
+
+
+def around_takes(rng, kind, noise_db, between, ends, takes=4):
+    """Takes of 3.5 s with digital silence between them and at the ends, and the truth (T,)."""
+    parts, truth = [digital(ends, rng, kind)], [np.zeros(round(30 * ends))]
+    for _ in range(takes):
+        sound, speaks = placed(rng, [-0.7, 1.1, -0.7, 0.5, -0.5], noise_db=noise_db)
+        parts += [sound, digital(between, rng, kind)]
+        truth += [speaks, np.zeros(round(30 * between))]
+    whole = np.concatenate([*parts, parts[0]]).astype(np.float32)
+    return whole, np.concatenate([*truth, truth[0]])
+
+
+def live_activity(waveform):
+    """Flags of a voice that has not ended: gaps are not bridged [shape=(T,)]."""
+    levels, running = band_levels(waveform)[None], RunningActivity(Gates(), 5)
+    held, rest = np.zeros(levels.shape[:2], bool), np.zeros(1)
+    return running(levels, held, rest, running.first(1))[0][0, -levels.shape[1] :]
 
 
 def edges(mask):
@@ -91,6 +120,29 @@ def test_noise_floor_follows_a_change(rng):
     assert activity[1502:1558].mean() > 0.9
     assert activity[220 : 23 * 30].mean() == 0
     assert activity[37 * 30 : 1490].mean() == 0
+
+
+@pytest.mark.parametrize("kind", ["zeros", "dither"])
+@pytest.mark.parametrize("noise_db", NOISES_DB.values(), ids=NOISES_DB)
+@pytest.mark.parametrize(("between", "ends"), [(0.4, 0), (0, 2), (2, 8)])
+def test_digital_silence_says_nothing_of_the_room(rng, kind, noise_db, between, ends):
+    """Room noise beside zeros is no speech; a synthetic voice, all of whose pauses they are, is."""
+    waveform, truth = around_takes(rng, kind, noise_db, between, ends)
+    activity = speech_activity(waveform)
+    assert activity[truth == 1].mean() > 0.95
+    assert activity[truth == 0].mean() < 0.05
+    live, heard = live_activity(waveform), np.arange(len(truth)) >= 30 * (ends + 4)
+    assert live[heard & (truth == 0)].mean() < 0.05
+    assert live[heard & (truth == 1)].mean() > 0.8, "weak syllables, which are bridged later"
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.6, 1])
+def test_a_word_amid_zeros_is_speech(rng, seconds):
+    """What is too short to show a room is not taken for it."""
+    silence = np.zeros(3 * RATE)
+    activity = speech_activity(np.concatenate([silence, voice(seconds, rng), silence]))
+    assert activity[91 : 89 + round(30 * seconds)].mean() > 0.9
+    assert activity[:88].max() == activity[93 + round(30 * seconds) :].max() == 0
 
 
 def test_clicks_are_not_speech(rng):

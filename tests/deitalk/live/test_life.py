@@ -129,7 +129,7 @@ def test_accents_are_peaks_and_known_soon_after():
 
 
 def test_accents_are_few_where_all_syllables_are_strong():
-    """Speech of 27 s has .47 a second, and those that the first ones do not wait for."""
+    """Speech of 27 s has .53 a second, and those that the first ones do not wait for."""
     found = cues(*syllables(rise=24), ACCENT)
     assert 5 < len(found.time) <= ACCENTS_PER_SECOND * 800 / 30 + 2
     assert np.diff(found.time).min() >= 0.5

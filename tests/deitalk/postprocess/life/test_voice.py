@@ -6,7 +6,7 @@ import pytest
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.postprocess.life.character import ASYMMETRY, Seeds, Traits
-from deitalk.postprocess.life.voice import ACCENT_DISTANCE, measure_voice
+from deitalk.postprocess.life.voice import ACCENT_DISTANCE, ACCENTS_PER_SECOND, measure_voice
 
 
 def buzz(pitch, level):
@@ -41,7 +41,7 @@ def test_accents_are_few_and_apart(seconds):
     stress = sum(h * np.exp(-(((time - (k + 0.5) / 3) / 0.07) ** 2)) for k, h in enumerate(tall))
     voice = voice_of(120 * 2 ** (stress / 3), 0.03 + 0.2 * stress)
     frames = np.array([accent.frame for accent in voice.accents])
-    assert 0.2 * seconds <= len(frames) <= np.ceil(0.45 * seconds)
+    assert 0.2 * seconds <= len(frames) <= np.ceil(ACCENTS_PER_SECOND * seconds)
     assert np.diff(frames).min() >= ACCENT_DISTANCE
     assert np.mean(tall[np.clip(frames // 10, 0, len(tall) - 1)]) > 0.75
 
