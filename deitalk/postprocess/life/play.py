@@ -45,7 +45,7 @@ what it shows must not depend on the seed."""
 SWELL, USUAL_SWELL = 0.3, 0.2
 """Part of an expression above the mouth that comes and goes with the accents, and their mean in
 speech: in silence, which has none, it is held as in speech on the average."""
-HELD_SIDE = 0.6
+HELD_SIDE = 0.5
 """Share of a character's difference of the sides in an expression that is held: one side is by so
 much stronger, the other by so much weaker."""
 LOWER_LID = 0.14
