@@ -66,11 +66,16 @@ SMOOTHING_FRAMES = 6.0
 MOST_DISPLAY = 3.0
 """Limit of the standard deviations of the display."""
 NAMED = (1.6, -2.0, 1.5)
-NAMED_AS = {"neutral": (MOST, 0.0, 1.0), "angry": (MOST, 0.0, 1.3), "sad": (1.6, 0.0, 1.4)}
+NAMED_AS = {
+    "neutral": (MOST, 0.0, 1.0),
+    "angry": (MOST, 0.0, 1.3),
+    "sad": (1.6, 0.0, 1.4),
+    "surprised": (1.35, -1.0, 1.5),
+}
 """Intensity that the strongest voice approaches in an emotion that is named, the decibels that its
 voice counts more, and the factor of its state and display; and those of some labels. With smaller
 factors a feeling seems to have one level, and the stronger phrase is hardly seen to be. In sadness
-people are quieter."""
+people are quieter; a jaw in surprise that drops further gapes at every vowel."""
 NAMED_MOST, NAMED_DB, NAMED_SLOPE = np.array([NAMED_AS.get(label, NAMED) for label in LABELS]).T
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""

@@ -78,7 +78,8 @@ def test_frames_are_those_of_the_live_animator(face, tiny, voice):
     pieces = spoken(face, sound.tobytes(), RATE, 3200)
     wanted = LiveAnimator(tiny, "happy").feed(sound)
     found = np.concatenate([piece.curves for piece in pieces])
-    assert np.abs(found[: len(wanted)] - wanted).max() < 1e-5
+    # Pieces of other lengths are summed in another order.
+    assert np.abs(found[: len(wanted)] - wanted).max() < 1e-4
 
 
 def test_channels_are_mixed(tiny, clock, voice):
