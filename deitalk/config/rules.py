@@ -83,10 +83,10 @@ class ScaleOpening(Section):
     usual: Share = 0.77
     """Intensity from which the opening increases: between the normal and the strong takes of two
     corpora of actors."""
-    shown: Slope = 0.2
+    shown: Slope = 0.3
     """Increase of the opening per unit of an emotion's intensity in the voice above `middle`,
     decrease per unit below it, where an intensity of 1 or more is shown; in proportion under 1."""
-    middle: Share = 0.95
+    middle: float = Field(default=1.07, ge=0, le=4)
     """Intensity of an emotion in the voice that leaves the opening as it is."""
 
 
