@@ -70,7 +70,7 @@ NAMED_AS = {
     "neutral": (MOST, 0.0, 1.0),
     "angry": (MOST, 0.0, 1.3),
     "sad": (1.6, 0.0, 1.4),
-    "surprised": (1.35, -1.0, 1.5),
+    "surprised": (1.4, 0.0, 1.5),
 }
 """Intensity that the strongest voice approaches in an emotion that is named, the decibels that its
 voice counts more, and the factor of its state and display; and those of some labels. With smaller
