@@ -68,7 +68,7 @@ MOST_DISPLAY = 3.0
 NAMED = (1.6, -2.0, 1.5)
 NAMED_AS = {
     "neutral": (MOST, 0.0, 1.0),
-    "angry": (MOST, 0.0, 1.3),
+    "angry": (1.3, -0.5, 1.6),
     "sad": (1.6, 0.0, 1.4),
     "surprised": (1.4, 0.0, 1.5),
 }
