@@ -61,7 +61,7 @@ PEOPLE = {
         ],
     },
     "Bruno": {
-        "mix": [("caucasian", "male", "young", 1)],
+        "lids": (0.06, 0.04), "mix": [("caucasian", "male", "young", 1)],
         "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.55},
         "skin": "young_caucasian_male/textures/young_lightskinned_male_diffuse.png",
         "shine": 0.34, "hair_colour": (50, 38, 30),
@@ -81,7 +81,7 @@ PEOPLE = {
         ],
     },
     "Chidi": {
-        "mix": [("african", "male", "young", 0.8), ("caucasian", "male", "young", 0.2)],
+        "lids": (0.06, 0.04), "mix": [("african", "male", "young", 0.8), ("caucasian", "male", "young", 0.2)],
         "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.3, "eyebrows/eyebrows-angle-up": 0.6,
                     "mouth/mouth-lowerlip-volume-decr": 0.7, "mouth/mouth-upperlip-volume-decr": 0.6,
                     "mouth/mouth-lowerlip-height-decr": 0.45, "mouth/mouth-upperlip-height-decr": 0.3},
