@@ -17,7 +17,7 @@ Coils have a radius (``coil``) and ``surfaces``, heights of which the longest is
 ``edges``, cm by degrees round the head, they thin out to the hairline. ``root_colour`` is that of drawn roots.
 
 Of the skin ``drawing`` is how much of the source's own fine drawing is kept, ``flush`` how much blood colours zones of the face, ``mottle`` the strength of its
-noise, ``patches`` how much of that is broad, for 1 of the package's, and ``flesh`` the colour of the corners of the eyes; ``gain`` is a power of its colours (of all, or of red,
+noise, ``patches`` the share of its broad ones (1 unless given) and ``flesh`` the colour of the corners of the eyes; ``gain`` is a power of its colours (of all, or of red,
 green and blue) and ``oil`` what its gloss has more; ``lip`` is a factor on the picture's mean colour
 of lips, ``enamel``, ``gum`` and ``mucosa`` are colours in the mouth (0 to 1). ``brow_hairs`` are how dense the hairs of
 a brow and the soft ground below them are. ``lids`` is how much higher the upper and the lower lid are than the package's, cm. ``shades`` are the darkest and lightest strands,
