@@ -55,9 +55,9 @@ PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tong
            "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
 TONGUE = (0.95, 0.86, 0.84)
 """Colour of the tongue over its picture."""
-CORRIDOR = {"teeth_upper": (0.7, 1.9), "teeth_lower": (0.6, 1.8), "tongue": (0.4, 1.2)}
+CORRIDOR = {"teeth_upper": (0.7, 1.9), "teeth_lower": (0.4, 1.4), "tongue": (0.4, 1.2)}
 """Distance from the middle where the shadow of the cheeks on a part begins, and over what way, cm."""
-DEEP_LIGHT = {"teeth_upper": ((1.0, 0.9), 3.6), "teeth_lower": ((0.72, 0.55), 3.0),
+DEEP_LIGHT = {"teeth_upper": ((1.0, 0.9), 3.6), "teeth_lower": ((0.62, 0.45), 2.6),
               "tongue": ((0.94, 0.8), 5.0)}  # fmt: skip
 """Least light (of the sky, of the first lamp) of the parts of an open mouth at its front, and how
 far behind the lips there is none, cm."""
@@ -309,7 +309,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part, corridor in CORRIDOR.items():  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]], *corridor)
-        colour[slices[part]] = front[:, None] ** [0.6, 1.0, 1.15]  # by cheeks
+        colour[slices[part]] = front[:, None] ** [0.92, 1.0, 1.04]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["tongue"]] *= TONGUE * np.array(look.get("mucosa", lips.MUCOSA)) / lips.MUCOSA
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
@@ -471,7 +471,7 @@ def _light(base, shapes, person, joined, picture):
     cheek = np.flatnonzero(shapes.inside() & (contact > 0.25))  # folded: neighbours have one light
     near = cKDTree(x[cheek]).query(x[cheek], k=30)[1]
     light[cheek] = np.minimum(light[cheek][near].mean(1), [0.34, 0.2])
-    light[cheek] *= (0.25 + 0.75 * _depth_light(x[cheek, 2] - front, 4.2))[:, None]
+    light[cheek] *= (0.5 + 0.5 * _depth_light(x[cheek, 2] - front, 4.2))[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]

@@ -82,7 +82,7 @@ def _noise(shape, width, seed):
 
 ZONES = (
     (0.0, 0.0, 1.3, 1.5, (1.03, 0.86, 0.85)),
-    (1.5, -0.7, 0.7, 0.8, (1.02, 0.88, 0.88)),
+    (1.5, -0.7, 0.7, 0.8, (1.01, 0.92, 0.92)),
     (0.0, 2.4, 0.8, 1.8, (1.0, 0.96, 0.95)),
     (4.0, -0.4, 2.4, 2.0, (1.02, 0.90, 0.89)),
     (5.6, 0.6, 1.6, 1.4, (1.02, 0.93, 0.92)),
@@ -93,8 +93,8 @@ ZONES = (
     (0.0, 7.6, 4.5, 2.0, (1.0, 0.985, 0.95)),
     (0.0, -2.6, 2.2, 0.5, (1.0, 0.94, 0.93)),
     (5.0, -4.8, 1.5, 1.8, (0.99, 0.985, 0.97)),
-    (2.6, -1.8, 0.9, 1.2, (1.02, 0.90, 0.86)),
-    (3.4, -3.1, 0.9, 1.1, (1.02, 0.91, 0.87)),
+    (2.6, -1.8, 0.9, 1.2, (1.01, 0.94, 0.92)),
+    (3.4, -3.1, 0.9, 1.1, (1.01, 0.95, 0.93)),
     (6.6, 4.0, 1.2, 2.0, (0.97, 0.96, 0.98)),
 )
 """Where blood and fat colour the face: x, y, widths in both (cm) and factors of the colour."""
@@ -171,10 +171,12 @@ def skin(base, person):
     colour = colour + border[..., None] * (soft - colour)
     shape = colour.shape[:2]
     bare = (1 - 0.9 * lips) * look["mottle"]
+    broad = look.get("patches", 1)
     detail = sum(a * cloud(place, w, s) for a, w, s in
-                 ((0.018, 0.07, 2), (0.010, 0.2, 3), (0.010, 0.45, 11)))  # fmt: skip
+                 ((0.018, 0.07, 2), (0.010, 0.2, 3), (0.010 * broad, 0.45, 11)))  # fmt: skip
     blood = sum(a * cloud(place, w, s) for a, w, s in
-                ((0.010, 0.06, 5), (0.010, 0.12, 6), (0.022, 0.32, 8), (0.020, 0.8, 9), (0.008, 2.0, 10)))  # fmt: skip
+                ((0.010, 0.06, 5), (0.010, 0.12, 6), (0.022 * broad, 0.32, 8), (0.020 * broad, 0.8, 9),
+                 (0.008, 2.0, 10)))  # fmt: skip
     spots = 0.20 * np.clip(cloud(place, 0.07, 7) - 2.5, 0, 1) * (1 - lips) * look["freckles"]
     colour = colour * (1 + (detail * bare)[..., None])
     colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
@@ -347,7 +349,7 @@ def _eye(look, side=512):
     bent = turn + 0.05 * drawn(6, 30)  # no fibre is straight
     fibres = drawn(10, 5) + 0.7 * drawn(5, 1.6) - 1.1 * np.clip(drawn(5, 22) - 0.8, 0, 1.5)
     iris = np.array(look["iris"]) / 255 * (1 + 0.07 * drawn(30, 90))[..., None]
-    inner = iris * [1.34, 1.15, 0.87]
+    inner = iris * [1.29, 1.13, 0.90]
     depth = 0.95 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
     zone = share + 0.05 * drawn(20, 14)  # around the pupil, to a ragged collarette
     blend = np.clip((zone - 0.48) / 0.2, 0, 1)[..., None]
@@ -355,7 +357,7 @@ def _eye(look, side=512):
     colour = inner * (1 - blend) + iris * blend
     colour = colour * (1 + collar + 0.15 * fibres)[..., None]
     colour = colour * depth[..., None]  # light from above gathers in the lower half
-    ring = smooth((share + 0.05 * drawn(30, 60) - 0.70) / 0.32) * (0.50 + 0.08 * drawn(30, 60))
+    ring = smooth((share + 0.05 * drawn(30, 60) - 0.70) / 0.32) * (0.58 + 0.08 * drawn(30, 60))
     colour = colour * (1 - ring[..., None])
     pupil = np.clip((share - 0.31) / 0.07, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)

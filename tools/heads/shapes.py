@@ -65,7 +65,7 @@ TONGUE_UP = 1.0
 _BROW = (("raiseIn", 1.1, 5.1, 0.27), ("raiseIn", 5.2, 5.0, -0.14), ("raiseOut", 1.1, 5.1, -0.11),
          ("raiseOut", 3.0, 5.5, 0.34))  # fmt: skip
 """Half of a control of the brow, where (x, y) and how far up it moves the skin besides, cm."""
-TEETH_AWAY = (0, -0.85, -0.45)
+TEETH_AWAY = (0, -0.95, -0.6)
 """What an open jaw moves its front teeth beside its turn, cm: back as the skin goes, and behind the
 lower lip, which covers all but their edges."""
 
