@@ -1,6 +1,6 @@
-"""Pictures (h, w, 3) uint8: PNG files, and text in them by Pillow."""
+"""Pictures (h, w, 3) uint8: text in them, and PNG files; both by Pillow."""
 
-import struct
+import io
 import zlib
 from functools import lru_cache
 from math import ceil
@@ -17,27 +17,18 @@ Picture = NDArray[np.uint8]
 
 _SIZE = 1.4
 """Size of Pillow's own font over the height of its capitals."""
-_UP, _COLOR = 2, {3: 2, 4: 6}
-"""Filter of PNG's rows (9.2), and its types of colour (11.2.1) by channels."""
 
 
 def png(picture: Picture) -> bytes:
-    """PNG (W3C, third edition) of a picture (h, w, 3), or (h, w, 4) with alpha.
+    """PNG of a picture (h, w, 3), or (h, w, 4) with alpha.
 
-    Rows are less those above, packed by run lengths: in a third of the time of Pillow's PNG.
+    Packed by run lengths, in a third of the time of Pillow's own choice and about as small.
     """
-    height, width, channels = picture.shape
-    rows = np.full((height, 1 + width * channels), _UP, np.uint8)
-    rows[:, 1:] = np.diff(picture.reshape(height, -1), axis=0, prepend=np.uint8(0))
-    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    header = struct.pack(">IIBBBBB", width, height, 8, _COLOR[channels], 0, 0, 0)
-    file = b"\x89PNG\r\n\x1a\n"
-    for kind, data in (
-        (b"IHDR", header), (b"IDAT", packer.compress(rows.data) + packer.flush()), (b"IEND", b""),
-    ):  # fmt: skip
-        file += struct.pack(">I", len(data)) + kind + data
-        file += struct.pack(">I", zlib.crc32(kind + data))
-    return file
+    from PIL import Image
+
+    packed = io.BytesIO()
+    Image.fromarray(picture).save(packed, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
+    return packed.getvalue()
 
 
 @lru_cache(maxsize=16)
