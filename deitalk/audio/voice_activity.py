@@ -111,7 +111,7 @@ def active_frames(levels: Array, tones: Array, n_samples: int) -> Array:
     opened, ended = neighbours(opens), neighbours(~keeps)
     speech = keeps & ((opened[0] > ended[0]) | (opened[1] < ended[1]))
     # Frames without speech that are no pause.
-    longest = longest_gap(percentile(excess, 95, tells(levels, excess == excess)))
+    longest = longest_gap(percentile(excess, 95, not_digital(levels, excess == excess)))
     last, following = neighbours(speech)
     speech = speech | ((following - last - 1 <= longest) & (last >= 0) & (following < FAR))
     # A single frame is a click, but in a clip that is very short.
@@ -254,10 +254,10 @@ def audible(levels: Array) -> Array:
     return library(levels).clip(levels, SILENCE_DB, None)
 
 
-def tells(levels: Array, used: Array, axis: int = 0) -> Array:
-    """Frames, of those `used` (T, ...), whose bands (T, ..., K) tell of the voice or its room.
+def not_digital(levels: Array, used: Array, axis: int = 0) -> Array:
+    """Frames of those `used` (T, ...) whose bands (T, ..., K) are no digital silence.
 
-    Of digital silence the first `DIGITAL_FRAMES` along the axis of time do, as a pause.
+    The first `DIGITAL_FRAMES` of that along the axis of time stay, as a pause.
     """
     is_digital = used & (library(levels).amax(levels, axis=-1) <= DIGITAL_DB)
     return used & ((as_index(is_digital).cumsum(axis) <= DIGITAL_FRAMES) | ~is_digital)
@@ -286,7 +286,7 @@ def _noise_floor(levels: Array, held: Array) -> Array:
     places = centres + xp.arange(-half, half)[:, None]  # (2 half, N)
     inside = xp.clip(places, 0, n_frames - 1)
     rows = audible(levels)[inside]  # (2 half, N, K)
-    used = tells(levels[inside], (places == inside) & ~held[inside])
+    used = not_digital(levels[inside], (places == inside) & ~held[inside])
     found = percentile(rows, FLOOR_PERCENTILE, xp.broadcast_to(used[:, :, None], rows.shape))
     lowest = xp.where(as_index(used).sum(0)[:, None] > 0, found, xp.full_like(found, quiet))
     frames = xp.arange(n_frames)
@@ -295,7 +295,7 @@ def _noise_floor(levels: Array, held: Array) -> Array:
     share = ((frames - first) / xp.clip(second - first, 1, None))[:, None]
     floor = lowest[before] + share * (lowest[before + 1] - lowest[before])
     highest = xp.amax(audible(levels), axis=1)
-    loudest = percentile(highest, 98, tells(levels, highest == highest))
+    loudest = percentile(highest, 98, not_digital(levels, highest == highest))
     floor = xp.maximum(floor, loudest - SPEECH_RANGE_DB)
     is_short = scalar(n_frames, levels) < SHORT_SECONDS * FRAME_RATE
     return xp.where(is_short, xp.full_like(floor, quiet), floor)

@@ -38,7 +38,7 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
     audible,
     longest_gap,
-    tells,
+    not_digital,
 )
 from deitalk.config.rules import Gates
 from deitalk.postprocess.gates import expression_after, mouth_between
@@ -198,10 +198,10 @@ class RunningActivity:
 def _measured_noise(levels: Array, excess: Array) -> tuple[Array, Array]:
     """Noise floor of each band (B, K), and the longest gap that is no pause (B,)."""
     xp, highest = library(levels), library(levels).amax(levels, axis=2)
-    known = tells(levels, highest < NONE_DB, 1)
+    known = not_digital(levels, highest < NONE_DB, 1)
     loudest = percentile(xp.amax(audible(levels), axis=2), LOUDEST_PERCENTILE, known, 1)
     used = xp.broadcast_to(known[:, :, None], levels.shape)
     lowest = percentile(audible(levels), FLOOR_PERCENTILE, used, 1)
     floor = xp.maximum(lowest, loudest[:, None] - SPEECH_RANGE_DB)
-    heard = tells(levels, excess < NONE_DB, 1)
+    heard = not_digital(levels, excess < NONE_DB, 1)
     return floor, longest_gap(percentile(excess, LOUD_PERCENTILE, heard, 1))

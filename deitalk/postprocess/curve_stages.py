@@ -343,7 +343,7 @@ class Express(nn.Module):
         """Change the reading that is shown.
 
         What a network does not show, in silence most, is added of the pose that it is taught. In
-        silence nothing yields to the lips, which are at rest, and no pose of the table parts them.
+        silence nothing yields to the lips, which are at rest.
 
         Parameters
         ----------
@@ -369,7 +369,7 @@ class Express(nn.Module):
         free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = ways @ self.poses + (ways @ self.parting) * free * spoken
+        pose = ways @ self.poses + (ways @ self.parting) * free
         pose = pose + (ways @ self.moods) * slow
         yields = 1 - (1 - free) * self.opening  # closed lips stay closed
         read = (blend - neutral) + missing * (emotion @ self.taught) * yields

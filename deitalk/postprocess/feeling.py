@@ -75,7 +75,7 @@ NAMED_AS = {
 """Intensity that the strongest voice approaches in an emotion that is named, the decibels that its
 voice counts more, and the factor of its state and display; and those of some labels. With smaller
 factors a feeling seems to have one level, and the stronger phrase is hardly seen to be. In sadness
-people are quieter; a jaw in surprise that drops further gapes at every vowel."""
+people are quieter; in stronger surprise the mouth is wide open at every vowel."""
 NAMED_MOST, NAMED_DB, NAMED_SLOPE = np.array([NAMED_AS.get(label, NAMED) for label in LABELS]).T
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""
